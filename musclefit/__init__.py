@@ -1,0 +1,1 @@
+"""musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it."""

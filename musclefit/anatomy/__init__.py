@@ -1,0 +1,1 @@
+"""Layered anatomy: tissues, what was found when reading them, and their tetrahedra."""

@@ -1,0 +1,1 @@
+"""Displacement fields fitted to handle displacements: value, gradient, rigorous bounds."""

@@ -1,0 +1,1 @@
+"""Arrays in, arrays out: what would be true of any mesh."""

@@ -1,0 +1,1 @@
+"""The order of the stages: retarget, check; no formula, no file."""

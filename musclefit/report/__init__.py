@@ -1,0 +1,1 @@
+"""What a run found, summed up as one record and written as JSON and HTML text."""

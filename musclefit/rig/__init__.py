@@ -1,0 +1,1 @@
+"""Rigs: which tissue follows what, along which path, with which deformer and limits."""

@@ -1,0 +1,1 @@
+"""Checks of a deformed anatomy: overlap, volume, rigidity, tissue outside skin."""

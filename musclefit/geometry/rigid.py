@@ -85,4 +85,5 @@ def _left_jacobian(w: Float) -> Float:
         first, second = 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
     else:
         first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    return np.eye(3) + first * skew + second * (skew @ skew)
+    jacobian: Float = np.eye(3) + first * skew + second * (skew @ skew)
+    return jacobian

@@ -1,0 +1,135 @@
+"""What the checks of a deformed anatomy find, as plain records; a report is made of nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class MapClaim(StrEnum):
+    """What is known of the map being one-to-one; three different claims, never mixed."""
+
+    CERTIFIED = "certified"
+    SAMPLED = "sampled"
+    UNDECIDED = "undecided"
+    REFUTED = "refuted"
+
+
+class MeshClaim(StrEnum):
+    """What is known of the deformed tet mesh."""
+
+    CERTIFIED = "certified"
+    SAMPLED = "sampled"
+    REFUTED = "refuted"
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkCheck:
+    """How far the landmarks are from their destinations."""
+
+    count: int
+    max_error_mm: float
+    worst: str
+
+
+@dataclass(frozen=True, slots=True)
+class MapCheck:
+    """Is the map one-to-one?
+
+    ``margin`` is how far the worst place stays from the limit of the rule (0 at the limit, 1 at rest), over all steps;
+    ``folded_points`` counts tested points with det of the whole Jacobian <= 0; ``place_mm`` is the worst place at rest.
+    """
+
+    claim: MapClaim
+    rule: str
+    margin: float
+    points_tested: int
+    folded_points: int
+    min_jacobian_determinant: float
+    place_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class MeshCheck:
+    """The deformed tetrahedra."""
+
+    tets: int
+    inverted: int
+    min_volume_ratio: float
+    max_volume_ratio: float
+    claim: MeshClaim
+    inverted_by_tissue: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TissueCheck:
+    """One tissue after the deformation.
+
+    ``rigidity_mm`` is for bones: the largest distance of a vertex from where a rigid motion takes it
+    (``rigidity_reference`` says which: "prescribed" by the joints, or the "best fit"); None for other kinds.
+    Volumes outside the skin are None where there is no skin, and for the skin itself.
+    """
+
+    name: str
+    kind: str
+    rest_volume_mm3: float
+    volume_mm3: float
+    volume_change_percent: float
+    rigidity_mm: float | None
+    rigidity_reference: str | None
+    outside_skin_rest_mm3: float | None
+    outside_skin_mm3: float | None
+    outside_skin_introduced_mm3: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class PairOverlap:
+    """Intersection of two tissues, mm³; introduced beyond the mapped rest overlap, never below 0."""
+
+    a: str
+    b: str
+    rest_mm3: float
+    deformed_mm3: float
+    introduced_mm3: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotChecked:
+    """A tissue or pair that could not be checked, and why; never left out in silence."""
+
+    what: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapCheck:
+    """All overlapping pairs, largest first, and what could not be checked."""
+
+    pairs: tuple[PairOverlap, ...]
+    pairs_tested: int
+    not_checked: tuple[NotChecked, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something found in the input: ``code`` is a short stable word, ``message`` says it with numbers."""
+
+    subject: str
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One limit of the rig held against one number; ``place`` names where."""
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+    place: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """True when the value is a number within the limit."""
+        return self.value <= self.limit

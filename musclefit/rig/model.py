@@ -83,7 +83,7 @@ class LandmarkDrive:
 
 @dataclass(frozen=True, slots=True)
 class JointDrive:
-    """Bone landmarks moved by joints: from a file, or where that is "", ``landmarks_per_bone`` spread over each bone."""
+    """Bone landmarks moved by joints: from a file, or ("") ``landmarks_per_bone`` spread over each bone."""
 
     joints: str
     pose: tuple[tuple[str, float], ...]

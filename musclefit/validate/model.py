@@ -111,15 +111,6 @@ class OverlapCheck:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """Something found in the input: ``code`` is a short stable word, ``message`` says it with numbers."""
-
-    subject: str
-    code: str
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
 class Check:
     """One limit of the rig held against one number; ``place`` names where."""
 

@@ -1,11 +1,16 @@
-"""A rig as a value: anatomy, driver, deformer, tetrahedra, limits; every setting has its unit and default here."""
+"""A rig as a value: anatomy, driver, deformer, tetrahedra, limits; every setting has its unit, default and range here.
+
+It takes settings and gives records whose values are in range; it knows neither files nor the layout of a rig table.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 
 from musclefit.anatomy.model import TissueKind
+from musclefit.errors import RigError
 
 
 class Unit(StrEnum):
@@ -19,6 +24,12 @@ class Unit(StrEnum):
     def in_mm(self) -> float:
         """How many mm one of this unit is."""
         return {Unit.MILLIMETRE: 1.0, Unit.CENTIMETRE: 10.0, Unit.METRE: 1000.0}[self]
+
+
+class BackendKind(StrEnum):
+    """What carries the displacement field between the handles."""
+
+    RBF = "rbf"
 
 
 class Kernel(StrEnum):
@@ -61,7 +72,13 @@ class PathKind(StrEnum):
 class AnatomySource:
     """Where the tissues come from: ``builtin`` names a generated anatomy, else a folder or files.
 
-    ``kinds`` maps tissue names (or shell-style patterns) to kinds, ahead of what the file names say.
+    ``kinds`` maps tissue names (or shell-style patterns) to kinds, ahead of what the file names say; the first
+    pattern that fits counts. ``units`` is the length unit of the files.
+
+    Raises
+    ------
+    RigError
+        Not exactly one of ``builtin``, ``folder`` and ``files``.
     """
 
     builtin: str = ""
@@ -70,6 +87,12 @@ class AnatomySource:
     units: Unit = Unit.MILLIMETRE
     frame: str = "as in the files"
     kinds: tuple[tuple[str, TissueKind], ...] = ()
+
+    def __post_init__(self) -> None:
+        given = [key for key in ("builtin", "folder", "files") if getattr(self, key)]
+        if len(given) != 1:
+            found = " and ".join(given) if given else "none"
+            raise RigError(f"anatomy: found {found} of builtin, folder and files; give exactly one of them")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +106,30 @@ class LandmarkDrive:
 
 @dataclass(frozen=True, slots=True)
 class JointDrive:
-    """Bone landmarks moved by joints: from a file, or ("") ``landmarks_per_bone`` spread over each bone."""
+    """Bone landmarks moved by joints: from a file, or ("") ``landmarks_per_bone`` spread over each bone.
+
+    ``pose`` holds joint names with their angles in degrees; joints that it leaves out stay at rest. ``units`` is the
+    length unit of the landmark file; the file of joints states its own.
+
+    Raises
+    ------
+    RigError
+        A pose without a joint or with an angle that is not finite, or fewer than one landmark per bone.
+    """
 
     joints: str
     pose: tuple[tuple[str, float], ...]
     landmarks: str = ""
     landmarks_per_bone: int = 8
     units: Unit = Unit.MILLIMETRE
+
+    def __post_init__(self) -> None:
+        if not self.pose:
+            raise RigError("drive.pose: names no joint; give at least one, for example pose = { elbow_deg = 75 }")
+        for joint, degrees in self.pose:
+            if not math.isfinite(degrees):
+                raise RigError(f"drive.pose.{joint}_deg: found {degrees}; expected a finite angle in degrees")
+        _at_least_one("drive.landmarks_per_bone", self.landmarks_per_bone)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +146,15 @@ Drive = LandmarkDrive | JointDrive | CageDrive
 
 @dataclass(frozen=True, slots=True)
 class DeformerSettings:
-    """Which field, which steps, how many."""
+    """Which field, which steps, how many.
 
-    backend: str = "rbf"
+    Raises
+    ------
+    RigError
+        ``max_steps`` below 1.
+    """
+
+    backend: BackendKind = BackendKind.RBF
     kernel: Kernel = Kernel.R2_LOG_R
     step: StepKind = StepKind.EXPLICIT
     step_rule: StepRule = StepRule.ROW_NORM
@@ -116,19 +162,43 @@ class DeformerSettings:
     path: PathKind = PathKind.STRAIGHT
     max_steps: int = 200
 
+    def __post_init__(self) -> None:
+        _at_least_one("deformer.max_steps", self.max_steps)
+
 
 @dataclass(frozen=True, slots=True)
 class TetSettings:
-    """Tetrahedralisation; lengths as fractions of the bounding-box diagonal, as pytetwild takes them."""
+    """Tetrahedralisation; lengths as fractions of the bounding-box diagonal, as pytetwild takes them.
+
+    Raises
+    ------
+    RigError
+        A fraction that is not between 0 and 1.
+    """
 
     enabled: bool = True
     edge_length_fraction: float = 0.05
     envelope_fraction: float = 1e-3
 
+    def __post_init__(self) -> None:
+        for key in ("edge_length_fraction", "envelope_fraction"):
+            value = getattr(self, key)
+            if not 0.0 < value < 1.0:
+                raise RigError(
+                    f"tets.{key}: found {value}; expected a fraction of the bounding-box diagonal between 0 and 1, "
+                    "both excluded"
+                )
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a run must keep to pass."""
+    """What a run must keep to pass.
+
+    Raises
+    ------
+    RigError
+        A limit below 0 or not finite.
+    """
 
     landmark_mm: float = 1e-6
     bone_rigidity_mm: float = 0.01
@@ -137,10 +207,22 @@ class Limits:
     introduced_outside_skin_mm3: float = 1.0
     inverted_tets: int = 0
 
+    def __post_init__(self) -> None:
+        for limit in fields(self):
+            value = getattr(self, limit.name)
+            if not 0 <= value < math.inf:
+                raise RigError(f"limits.{limit.name}: found {value}; expected a finite limit of at least 0")
+
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Everything one run needs, as written in a rig file; paths are as resolved by the reader."""
+    """Everything one run needs, as written in a rig file; paths are as resolved by the reader.
+
+    Raises
+    ------
+    RigError
+        No title, or handles that shall follow joints where no joint drives.
+    """
 
     title: str
     anatomy: AnatomySource
@@ -148,3 +230,17 @@ class Rig:
     deformer: DeformerSettings = field(default_factory=DeformerSettings)
     tets: TetSettings = field(default_factory=TetSettings)
     limits: Limits = field(default_factory=Limits)
+
+    def __post_init__(self) -> None:
+        if not self.title.strip():
+            raise RigError("title: is empty; say in a few words what the rig does")
+        if self.deformer.path is PathKind.JOINTS and not isinstance(self.drive, JointDrive):
+            raise RigError(
+                f'deformer.path: found "{PathKind.JOINTS}", but no joint drives this rig; write "{PathKind.STRAIGHT}", '
+                'or a [drive] of kind "joints"'
+            )
+
+
+def _at_least_one(key: str, value: int) -> None:
+    if value < 1:
+        raise RigError(f"{key}: found {value}; expected at least 1")

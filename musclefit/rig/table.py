@@ -1,0 +1,245 @@
+"""Rig tables: takes what a rig file says, gives a `Rig` or an error that names the key; it opens no file.
+
+The layout is that of `rigs/README.md`. Every key is the name of a field of `musclefit.rig.model`, so a record that
+gains a field gains a key.
+"""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
+from enum import StrEnum
+from typing import Any, TypeVar, get_type_hints
+
+from musclefit.anatomy.model import TissueKind
+from musclefit.errors import RigError
+from musclefit.rig.model import (
+    AnatomySource,
+    CageDrive,
+    DeformerSettings,
+    Drive,
+    JointDrive,
+    LandmarkDrive,
+    Limits,
+    Rig,
+    TetSettings,
+)
+from musclefit.rig.section import Section, suggestion
+
+Record = TypeVar("Record", AnatomySource, LandmarkDrive, JointDrive, CageDrive, DeformerSettings, TetSettings, Limits)
+
+_POSE_SUFFIX = "_deg"
+
+
+class DriveKind(StrEnum):
+    """What moves the handles, as `drive.kind` names it."""
+
+    LANDMARKS = "landmarks"
+    JOINTS = "joints"
+    CAGE = "cage"
+
+
+DRIVES: Mapping[DriveKind, type[LandmarkDrive] | type[JointDrive] | type[CageDrive]] = {
+    DriveKind.LANDMARKS: LandmarkDrive,
+    DriveKind.JOINTS: JointDrive,
+    DriveKind.CAGE: CageDrive,
+}
+
+_OPEN = ("anatomy.kinds", "drive.pose")
+"""Tables whose keys the user chooses."""
+
+
+def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
+    """Read a rig table.
+
+    Parameters
+    ----------
+    table : mapping
+        As tomllib gives it.
+    source : str
+        The file, for messages.
+
+    Returns
+    -------
+    Rig
+        With paths as written; what the table leaves out has the default of `musclefit.rig.model`.
+
+    Raises
+    ------
+    RigError
+        A key or section that does not exist, a value of another type, out of range or not among the allowed, a key that
+        would have no effect, or a key that is missing. The message starts with the file and the dotted key.
+    """
+    root = Section(table, source)
+    root.refuse_unknown(("title", "anatomy", "drive", "deformer", "tets", "limits"))
+    root.require(("title", "anatomy", "drive"))
+    title = root.text("title")
+    anatomy = _anatomy(root.section("anatomy"))
+    drive = _drive(root.section("drive"))
+    deformer = _record(DeformerSettings, _optional(root, "deformer"))
+    tets = _record(TetSettings, _optional(root, "tets"))
+    limits = _record(Limits, _optional(root, "limits"))
+    try:
+        return Rig(title, anatomy, drive, deformer, tets, limits)
+    except RigError as error:
+        raise RigError(f"{source}: {error}") from None
+
+
+def apply_overrides(table: Mapping[str, Any], overrides: Sequence[str], *, source: str) -> dict[str, Any]:
+    """A rig table with single values replaced, as `--set` gives them.
+
+    Parameters
+    ----------
+    table : mapping
+        Left as it is.
+    overrides : sequence of str
+        Each ``key=value``: a dotted key and a TOML value; a value that is no TOML, such as ``r3``, is text.
+    source : str
+        The file, for messages.
+
+    Raises
+    ------
+    RigError
+        No ``=``, an unknown key, or a value that begins like TOML but is not. Whether the value suits the key is for
+        `parse_rig` to say.
+    """
+    changed: dict[str, Any] = copy.deepcopy(dict(table))
+    for override in overrides:
+        dotted, equals, text = override.partition("=")
+        where = f"{source}: --set {override}"
+        if not equals:
+            raise RigError(f"{where}: has no '='; write --set key=value, for example --set deformer.max_steps=50")
+        path = _override_path(dotted.strip(), where=where)
+        value = _override_value(text.strip(), where=where)
+        inner = changed
+        for part in path[:-1]:
+            inner = inner.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise RigError(f"{where}: {part} is not a table in the file; correct the file")
+        inner[path[-1]] = value
+    return changed
+
+
+def known_keys() -> tuple[str, ...]:
+    """Every dotted key of a rig table; `anatomy.kinds.*` and `drive.pose.*_deg` stand for keys that the user names."""
+    sections: dict[str, tuple[type, ...]] = {
+        "anatomy": (AnatomySource,),
+        "drive": tuple(DRIVES.values()),
+        "deformer": (DeformerSettings,),
+        "tets": (TetSettings,),
+        "limits": (Limits,),
+    }
+    keys = ["title", "drive.kind"]
+    for section, records in sections.items():
+        keys += [f"{section}.{field.name}" for record in records for field in fields(record)]
+    return tuple(dict.fromkeys(keys))
+
+
+def _anatomy(section: Section) -> AnatomySource:
+    source = _record(AnatomySource, section)
+    if source.builtin:
+        for key in ("units", "frame", "kinds"):
+            if key in section:
+                raise section.error(key, "has no effect on a built-in anatomy, which states its own; remove it")
+    return source
+
+
+def _drive(section: Section) -> Drive:
+    section.require(("kind",))
+    kind = section.choice("kind", DriveKind)
+    others = {f.name: str(other) for other in DRIVES if other is not kind for f in fields(DRIVES[other])}
+    known = {f.name for f in fields(DRIVES[kind])}
+    for key in section.table:
+        if key in others and key not in known:
+            raise section.error(
+                key, f'belongs to kind "{others[key]}", but the kind is "{kind}"; {suggestion(key, known | {"kind"})}'
+            )
+    match kind:
+        case DriveKind.LANDMARKS:
+            return _record(LandmarkDrive, section, besides=("kind",))
+        case DriveKind.CAGE:
+            return _record(CageDrive, section, besides=("kind",))
+        case DriveKind.JOINTS:
+            if "landmarks" in section and "landmarks_per_bone" in section:
+                raise section.error("landmarks_per_bone", "has no effect beside drive.landmarks; remove one of the two")
+            if "units" in section and "landmarks" not in section:
+                raise section.error(
+                    "units", "is the unit of drive.landmarks, which is not given (the joints state theirs); remove it"
+                )
+            return _record(JointDrive, section, besides=("kind",))
+
+
+def _optional(root: Section, key: str) -> Section:
+    return root.section(key) if key in root else Section({}, root.source, key)
+
+
+def _record(record: type[Record], section: Section, *, besides: tuple[str, ...] = ()) -> Record:
+    """The record whose fields the section names; its own checks of range speak with the file's name in front."""
+    known: list[str] = [field.name for field in fields(record)]
+    section.refuse_unknown([*besides, *known])
+    section.require(f.name for f in fields(record) if f.default is MISSING and f.default_factory is MISSING)
+    hints = get_type_hints(record)
+    values = {key: _value(section, key, hints[key]) for key in known if key in section}
+    try:
+        return record(**values)
+    except RigError as error:
+        raise RigError(f"{section.source}: {error}") from None
+
+
+def _value(section: Section, key: str, hint: Any) -> Any:
+    dotted = section.dotted(key)
+    if dotted == "drive.pose":
+        return _pose(section.section(key))
+    if dotted == "anatomy.kinds":
+        kinds = section.section(key)
+        return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
+    if hint == tuple[str, ...]:
+        return _listed(section, key)
+    if issubclass(hint, StrEnum):
+        return section.choice(key, hint)
+    readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}
+    return readers[hint](key)
+
+
+def _listed(section: Section, key: str) -> tuple[str, ...]:
+    values = section.texts(key)
+    if not values:
+        raise section.error(key, "is an empty list; name at least one")
+    return values
+
+
+def _pose(section: Section) -> tuple[tuple[str, float], ...]:
+    for key in section.table:
+        if not key.endswith(_POSE_SUFFIX) or key == _POSE_SUFFIX:
+            raise section.error(
+                key, f"must be the name of a joint and its unit, such as elbow{_POSE_SUFFIX}; angles are in degrees"
+            )
+    return tuple((key.removesuffix(_POSE_SUFFIX), section.number(key)) for key in section.table)
+
+
+def _override_path(dotted: str, *, where: str) -> list[str]:
+    for table in _OPEN:
+        if dotted.startswith(f"{table}.") and len(dotted) > len(table) + 1:
+            return [*table.split("."), dotted[len(table) + 1 :].strip('"')]
+    if dotted not in known_keys():
+        inside = [key for key in known_keys() if key.startswith(f"{dotted}.")]
+        if inside:
+            raise RigError(f"{where}: {dotted} is a section; set one of its keys: {', '.join(inside)}")
+        raise RigError(f"{where}: unknown key {dotted!r}; {suggestion(dotted, known_keys())}")
+    return dotted.split(".")
+
+
+def _override_value(text: str, *, where: str) -> Any:
+    try:
+        read = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        if not text or text[0] in "\"'[{":
+            raise RigError(
+                f"{where}: the value is no TOML: {error}; write a number, true or false, a word, or text in quotes"
+            ) from None
+        return text
+    if set(read) != {"value"}:
+        raise RigError(f"{where}: the value holds more than one line; set one key at a time")
+    return read["value"]

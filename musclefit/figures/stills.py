@@ -1,0 +1,123 @@
+"""The pictures of a report: rest, baseline and result side by side, as PNG bytes; where nothing can be drawn, the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+
+from musclefit.anatomy.model import Anatomy, TissueKind
+from musclefit.errors import InputError
+from musclefit.figures.camera import View, principal_views
+from musclefit.figures.colours import tissue_colours
+from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshot, tissue_panels
+from musclefit.figures.rendering import rendering_problem
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stills:
+    """PNG bytes by caption, in reading order, and why there are none ("" when there are)."""
+
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
+    problem: str = ""
+
+
+def stills(
+    rest: Anatomy,
+    deformed: Anatomy,
+    *,
+    baseline: Anatomy | None,
+    rest_marks: Marks = Marks(),  # noqa: B008 (a frozen value)
+    marks: Marks = Marks(),  # noqa: B008
+    baseline_marks: Marks = Marks(),  # noqa: B008
+    height_px: int = 1000,
+) -> Stills:
+    """Pictures of one run, all from the same view.
+
+    Parameters
+    ----------
+    rest, deformed : Anatomy
+        The same tissues before and after.
+    baseline : Anatomy or None
+        After the method compared with, or None where none was run.
+    rest_marks, marks, baseline_marks : Marks
+        Determinants and overlaps to point out at rest, in the result and in the baseline.
+    height_px : int
+
+    Returns
+    -------
+    Stills
+        Never fails for want of a screen: where off-screen rendering does not work, ``problem`` says why.
+
+    Raises
+    ------
+    InputError
+        The anatomies have different tissues, or determinants do not fit their tissue.
+    """
+    panels = [Panel("Rest", rest, rest_marks)]
+    if baseline is not None:
+        panels.append(Panel("Baseline", baseline, baseline_marks))
+    panels.append(Panel("Result", deformed, marks))
+    _require_same_tissues(panels)
+    problem = rendering_problem()
+    if problem:
+        return Stills(problem=problem)
+    drawings = _drawings(tuple(panels), height_px)
+    with pv.vtk_verbosity("off"):
+        return Stills({caption: screenshot(draw()) for caption, draw in drawings.items()})
+
+
+def _drawings(panels: tuple[Panel, ...], height_px: int) -> dict[str, Callable[[], Any]]:
+    """What to draw, by caption."""
+    front, side = principal_views(_seen(panels))
+    colours = tissue_colours(panels[0].anatomy)
+    who = ", ".join(panel.title.lower() for panel in panels)
+    notes = [
+        *(["folded places in magenta"] if any(p.marks.determinants for p in panels) else []),
+        *(["overlaps in blue"] if any(p.marks.overlaps for p in panels) else []),
+    ]
+    tail = f" ({'; '.join(notes)})" if notes else ""
+    drawings: dict[str, Callable[[], Any]] = {
+        f"All tissues, from the broad side: {who}{tail}": lambda: tissue_panels(
+            panels, front, colours=colours, height_px=height_px
+        ),
+        f"All tissues, a quarter turn on: {who}{tail}": lambda: tissue_panels(
+            panels, side, colours=colours, height_px=height_px
+        ),
+    }
+    bones = tuple(_only(panel, TissueKind.BONE) for panel in panels if panel.anatomy.of_kind(TissueKind.BONE))
+    if len(bones) == len(panels) and len(bones[0].anatomy) < len(panels[0].anatomy):
+        drawings[f"Bones alone: {who}"] = lambda: tissue_panels(bones, front, colours=colours, height_px=height_px)
+    measured = tuple(panel for panel in panels if panel.marks.determinants)
+    if measured:
+        names = ", ".join(panel.title.lower() for panel in measured)
+        caption = f"Local volume ratio det J: {names} (white 1, brown 2 or more, violet towards 0, folded in magenta)"
+        drawings[caption] = lambda: determinant_panels(measured, front, height_px=height_px)
+    return drawings
+
+
+def _seen(panels: tuple[Panel, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """What the view must show: every vertex of every panel."""
+    return np.concatenate([panel.anatomy.vertices() for panel in panels])
+
+
+def _only(panel: Panel, kind: TissueKind) -> Panel:
+    """The panel with the tissues of one kind, without marks."""
+    return Panel(panel.title, replace(panel.anatomy, tissues=panel.anatomy.of_kind(kind)))
+
+
+def _require_same_tissues(panels: list[Panel]) -> None:
+    names = [t.name for t in panels[0].anatomy]
+    for panel in panels[1:]:
+        others = [t.name for t in panel.anatomy]
+        if others != names:
+            differing = sorted(set(names) ^ set(others))[:4]
+            raise InputError(
+                f"{panel.title} and rest have different tissues ({', '.join(differing)}); pictures compare the same tissues"
+            )
+
+
+__all__ = ["Marks", "Stills", "View", "stills"]

@@ -1,0 +1,131 @@
+"""Result and baseline side by side: what folds, overlaps, bends and shrinks; knows rows, not pages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import median
+
+from musclefit.anatomy.model import TissueKind
+from musclefit.report.model import Report, Side, checks_against
+from musclefit.rig.model import Limits
+from musclefit.validate.model import TissueCheck
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One number of one method: NaN when it could not be measured, None when the run has no such thing.
+
+    ``passed`` holds it against its limit, None where there is none.
+    """
+
+    value: float | None
+    passed: bool | None = None
+    place: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One quantity; ``group`` is what it tells about (Folds, Overlaps, Bends, Shrinks, Arrives)."""
+
+    group: str
+    name: str
+    unit: str
+    limit: float | None
+    result: Cell
+    baseline: Cell | None
+
+
+def compare(report: Report) -> tuple[Row, ...]:
+    """The rows of the summary, in reading order.
+
+    Parameters
+    ----------
+    report : Report
+
+    Returns
+    -------
+    tuple of Row
+        ``baseline`` is None in every row of a report without one. A row that neither side has is left out.
+    """
+    result = _cells(report.result, report.limits)
+    baseline = None if report.baseline is None else _cells(report.baseline, report.limits)
+    rows = []
+    for group, name, unit in _ROWS:
+        other = None if baseline is None else baseline[name][0]
+        cell, limit = result[name]
+        if cell.value is None and (other is None or other.value is None):
+            continue
+        rows.append(Row(group, name, unit, limit, cell, other))
+    return tuple(rows)
+
+
+def worst_first(tissues: tuple[TissueCheck, ...], limits: Limits) -> tuple[TissueCheck, ...]:
+    """Tissues by how far they are from keeping their limits, the worst first.
+
+    Each is ranked by its largest share of a limit (rigidity of bones, volume of muscles, volume outside the skin), then by
+    the size of its volume change; a number that is missing where there should be one comes before all others.
+    """
+    return tuple(sorted(tissues, key=lambda t: (-_strain(t, limits), -_size(t.volume_change_percent), t.name)))
+
+
+_ROWS = (
+    ("Folds", "folded points", "points"),
+    ("Folds", "smallest det J at a point", ""),
+    ("Folds", "inverted tets", "tets"),
+    ("Folds", "smallest tet volume ratio", ""),
+    ("Overlaps", "introduced overlap", "mm³"),
+    ("Overlaps", "pairs with introduced overlap", "pairs"),
+    ("Overlaps", "introduced outside skin", "mm³"),
+    ("Bends", "bone off rigid", "mm"),
+    ("Shrinks", "muscle volume change", "%"),
+    ("Shrinks", "muscle volume change, median", "%"),
+    ("Arrives", "landmark error", "mm"),
+    ("Arrives", "steps", ""),
+)
+
+
+def _cells(side: Side, limits: Limits) -> dict[str, tuple[Cell, float | None]]:
+    """Every row's cell and limit for one method."""
+    cells: dict[str, tuple[Cell, float | None]] = {
+        check.name: (Cell(check.value, check.passed, check.place), check.limit)
+        for check in checks_against(limits, side)
+    }
+    changes = [abs(t.volume_change_percent) for t in side.of_kind(TissueKind.MUSCLE)]
+    introduced = [p for p in side.overlaps.pairs if not p.introduced_mm3 <= 0]
+    free = {
+        "smallest det J at a point": side.map.min_jacobian_determinant,
+        "smallest tet volume ratio": None if side.mesh is None else side.mesh.min_volume_ratio,
+        "pairs with introduced overlap": float(len(introduced)),
+        "muscle volume change, median": None if not changes else _median(changes),
+        "steps": float(side.steps),
+    }
+    cells |= {name: (Cell(value), None) for name, value in free.items()}
+    return {name: cells.get(name, (Cell(None), None)) for _, name, _ in _ROWS}
+
+
+def _median(values: list[float]) -> float:
+    return median(values) if all(math.isfinite(v) for v in values) else math.nan
+
+
+def _strain(tissue: TissueCheck, limits: Limits) -> float:
+    shares = []
+    if tissue.kind == TissueKind.BONE:
+        shares.append(_share(tissue.rigidity_mm, limits.bone_rigidity_mm))
+    if tissue.kind == TissueKind.MUSCLE:
+        shares.append(_share(tissue.volume_change_percent, limits.muscle_volume_percent))
+    if tissue.outside_skin_introduced_mm3 is not None:
+        shares.append(_share(tissue.outside_skin_introduced_mm3, limits.introduced_outside_skin_mm3))
+    return max(shares, default=0.0)
+
+
+def _share(value: float | None, limit: float) -> float:
+    """How much of the limit a value uses; infinite when missing, or when there is no room at all."""
+    size = _size(value)
+    if size == 0 or math.isinf(size):
+        return size
+    return size / limit if limit > 0 else math.inf
+
+
+def _size(value: float | None) -> float:
+    return math.inf if value is None or math.isnan(value) else abs(value)

@@ -1,0 +1,194 @@
+"""Turns a report and its pictures into one self-contained page; measures and judges nothing."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import jinja2
+
+from musclefit.errors import InputError
+from musclefit.report.comparison import Row, compare, worst_first
+from musclefit.report.model import SCHEMA_VERSION, Report, Side, absent, checks_against
+from musclefit.validate.model import Check, PairOverlap, TissueCheck
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+_THIN = "\N{NARROW NO-BREAK SPACE}"
+_MISSING = "not measured"
+
+
+def render_html(report: Report, *, pictures: Mapping[str, bytes], pictures_problem: str = "") -> str:
+    """One page that needs no other file and no network.
+
+    Parameters
+    ----------
+    report : Report
+    pictures : mapping of caption to PNG bytes
+        Shown in order; may be empty.
+    pictures_problem : str
+        Why there are no pictures, shown in their place.
+
+    Returns
+    -------
+    str
+        HTML; every name and text of the report is escaped.
+
+    Raises
+    ------
+    InputError
+        A picture is not a PNG; names its caption.
+    """
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"number": number, "amount": amount, "seconds": seconds}
+    source = files("musclefit.report").joinpath("report.html.jinja").read_text(encoding="utf-8")
+    return environment.from_string(source).render(_page(report, pictures, pictures_problem))
+
+
+def number(value: float | None) -> str:
+    """A number for reading: four significant digits, thousands apart, powers of ten for the very small.
+
+    >>> number(0.0), number(1234567.0), number(3.2e-8), number(float("nan"))
+    ('0', '1 234 567', '3.2 × 10⁻⁸', 'not measured')
+    """
+    if value is None:
+        return "–"
+    if math.isnan(value):
+        return _MISSING
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    size = abs(value)
+    if size == 0:
+        return "0"
+    if size < 1e-3 or size >= 1e9:
+        digits, exponent = f"{size:.1e}".split("e")
+        text = f"{digits} × 10{int(exponent)}".replace(f"10{int(exponent)}", f"10{_raised(int(exponent))}")
+    else:
+        decimals = max(0, 3 - math.floor(math.log10(size)))
+        text = f"{size:,.{decimals}f}".replace(",", _THIN)
+        text = text.rstrip("0").rstrip(".") if "." in text else text
+    return f"−{text}" if value < 0 else text
+
+
+def amount(value: float | None, unit: str) -> str:
+    """A number with its unit."""
+    text = number(value)
+    return f"{text}{_THIN}{unit}" if unit and text not in (_MISSING, "–") else text
+
+
+def seconds(value: float) -> str:
+    """A duration for reading: seconds below two minutes, then minutes and seconds."""
+    if not math.isfinite(value) or value < 120:
+        return amount(value, "s")
+    whole = round(value)
+    return f"{whole // 60}{_THIN}min {whole % 60:02d}{_THIN}s"
+
+
+@dataclass(frozen=True, slots=True)
+class _TissueRow:
+    tissue: TissueCheck
+    baseline: TissueCheck | None
+    off_limit: tuple[str, ...]
+    """The columns that break a limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PairRow:
+    a: str
+    b: str
+    result: PairOverlap | None
+    baseline: PairOverlap | None
+
+
+def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) -> dict[str, Any]:
+    """Everything the template names."""
+    failed = [check for check in report.checks if not check.passed]
+    return {
+        "report": report,
+        "result": report.result,
+        "baseline": report.baseline,
+        "verdict": report.verdict,
+        "checks": report.checks,
+        "failed": failed,
+        "sentences": [_sentence(check) for check in failed],
+        "groups": _grouped(compare(report)),
+        "baseline_failed": _failures(report.baseline, report),
+        "absent": absent(report.result),
+        "pictures": {caption: _data_uri(caption, png) for caption, png in pictures.items()},
+        "pictures_problem": pictures_problem,
+        "tissues": _tissue_rows(report),
+        "pairs": _pair_rows(report),
+        "skin": any(t.outside_skin_mm3 is not None for t in report.result.tissues),
+        "bones": any(t.rigidity_mm is not None for t in report.result.tissues),
+        "total_seconds": math.fsum(report.timings_s.values()),
+        "schema_version": SCHEMA_VERSION,
+    }
+
+
+def _sentence(check: Check) -> str:
+    """One failed check in words."""
+    if not check.unit and check.limit == 0 and check.value == 1:
+        return f"{check.name}: {check.place}" if check.place else check.name
+    where = f" ({check.place})" if check.place else ""
+    return f"{check.name}: {amount(check.value, check.unit)}{where}; the limit is {amount(check.limit, check.unit)}"
+
+
+def _grouped(rows: tuple[Row, ...]) -> dict[str, list[Row]]:
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row.group, []).append(row)
+    return groups
+
+
+def _failures(side: Side | None, report: Report) -> int:
+    return 0 if side is None else sum(not check.passed for check in checks_against(report.limits, side))
+
+
+def _tissue_rows(report: Report) -> list[_TissueRow]:
+    other = {} if report.baseline is None else {t.name: t for t in report.baseline.tissues}
+    ordered = worst_first(report.result.tissues, report.limits)
+    return [_TissueRow(t, other.get(t.name), _off_limit(t, report)) for t in ordered]
+
+
+def _off_limit(tissue: TissueCheck, report: Report) -> tuple[str, ...]:
+    limits = report.limits
+    off = []
+    if tissue.kind == "muscle" and not abs(tissue.volume_change_percent) <= limits.muscle_volume_percent:
+        off.append("volume")
+    if tissue.kind == "bone" and (tissue.rigidity_mm is None or not tissue.rigidity_mm <= limits.bone_rigidity_mm):
+        off.append("rigidity")
+    outside = tissue.outside_skin_introduced_mm3
+    if outside is not None and not outside <= limits.introduced_outside_skin_mm3:
+        off.append("outside")
+    return tuple(off)
+
+
+def _pair_rows(report: Report) -> list[_PairRow]:
+    """Every pair that overlaps on either side, largest introduced first."""
+    result = {(p.a, p.b): p for p in report.result.overlaps.pairs}
+    baseline = {} if report.baseline is None else {(p.a, p.b): p for p in report.baseline.overlaps.pairs}
+    rows = [_PairRow(a, b, result.get((a, b)), baseline.get((a, b))) for a, b in {**result, **baseline}]
+
+    def size(pair: PairOverlap | None) -> tuple[float, float]:
+        if pair is None:
+            return (-1.0, -1.0)
+        introduced = pair.introduced_mm3
+        return (math.inf if math.isnan(introduced) else introduced, pair.deformed_mm3)
+
+    return sorted(rows, key=lambda row: (size(row.result), size(row.baseline)), reverse=True)
+
+
+def _data_uri(caption: str, png: bytes) -> str:
+    if not png.startswith(PNG_SIGNATURE):
+        raise InputError(f"the picture {caption!r} is not a PNG (it starts with {png[:8]!r}); give PNG bytes")
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+
+
+def _raised(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -1,0 +1,267 @@
+"""The documented JSON Schema (draft 2020-12) of the reports; knows keys, meanings and units, no report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from musclefit.report.model import SCHEMA_VERSION
+from musclefit.validate.model import MapClaim, MeshClaim
+
+Schema = dict[str, Any]
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def report_schema() -> Schema:
+    """JSON Schema of ``report.json`` as written by a run."""
+    side = _side_properties()
+    properties = {
+        "schema_version": {"const": SCHEMA_VERSION, "description": "Version of these keys and their meaning."},
+        "title": _text("Title of the rig."),
+        **side,
+        "findings": _list(_finding(), "What was found in the input; no part of the verdict."),
+        "baseline": {
+            "description": "The same keys for the method compared with, held against the same limits; null where none "
+            "was run. It never changes the verdict.",
+            "oneOf": [_record(side, "One method's outcome."), {"type": "null"}],
+        },
+        **_run_properties(),
+        "files": _list(_text("Path relative to the report, with forward slashes."), "Every file the run wrote."),
+        "surfaces": _list(_surface(), "Which files hold which tissue."),
+    }
+    required = [key for key in properties if key not in ("files", "surfaces")]
+    return _document("Report of one musclefit run", properties, required)
+
+
+def mesh_report_schema() -> Schema:
+    """JSON Schema of the report of an anatomy as it is."""
+    tissue = {
+        "name": _text("Name of the tissue."),
+        "kind": _kind(),
+        "vertices": _count("Vertices of its surface."),
+        "triangles": _count("Triangles of its surface."),
+        "volume_mm3": _number("Signed enclosed volume, mm³."),
+        "outside_skin_mm3": _number("Volume outside the skin, mm³; null where there is no skin, and for the skin."),
+    }
+    pair = {
+        "a": _text("One tissue."),
+        "b": _text("The other tissue."),
+        "volume_mm3": _number("Volume of their intersection, mm³."),
+    }
+    properties = {
+        "schema_version": {"const": SCHEMA_VERSION, "description": "Version of these keys and their meaning."},
+        "title": _text("What was inspected."),
+        "verdict": _verdict(),
+        "frame": _text("The coordinate frame in words."),
+        "tissues": _list(_record(tissue, "One tissue."), "All tissues, outermost first."),
+        "overlaps": _list(_record(pair, "Two tissues that overlap."), "Overlapping pairs, largest first."),
+        "overlap_total_mm3": _number("Overlap volume summed over all pairs, mm³."),
+        "pairs_tested": _count("Pairs of tissues tested for overlap."),
+        "not_checked": _not_checked(),
+        "findings": _list(_finding(), "What was found in the input."),
+        "checks": _checks(),
+        **_run_properties(),
+    }
+    return _document("Report of one musclefit inspection", properties, list(properties))
+
+
+def _side_properties() -> Schema:
+    return {
+        "verdict": _verdict(),
+        "status": _text('"converged", or how the run ended instead, in words.'),
+        "steps": _count("Steps taken."),
+        "method": _text("The method in words."),
+        "landmarks": _landmarks(),
+        "map": _map(),
+        "mesh": {
+            "description": "The deformed tetrahedra; null where none were made.",
+            "oneOf": [_mesh(), {"type": "null"}],
+        },
+        "tissues": _list(_tissue(), "All tissues, outermost first."),
+        "overlaps": _list(_overlap(), "Overlapping pairs, largest first."),
+        "overlap_total": _record(_overlap_volumes(), "Overlap volumes summed over all pairs."),
+        "pairs_tested": _count("Pairs of tissues tested for overlap."),
+        "not_checked": _not_checked(),
+        "checks": _checks(),
+    }
+
+
+def _run_properties() -> Schema:
+    return {
+        "timings_s": {
+            "type": "object",
+            "description": "Wall time by stage, seconds.",
+            "additionalProperties": {"type": ["number", "null"]},
+        },
+        "peak_memory_mb": _number("Largest resident memory of the process, MB (10⁶ bytes); null where unknown."),
+        "provenance": {"type": "object", "description": "Versions, hashes of the input files, and settings."},
+    }
+
+
+def _landmarks() -> Schema:
+    properties = {
+        "count": _count("Landmarks driving the deformation."),
+        "max_error_mm": _number("Largest distance of a landmark from its destination, mm."),
+        "worst": _text("Name of the landmark with that distance."),
+    }
+    return _record(properties, "How far the landmarks are from their destinations.")
+
+
+def _map() -> Schema:
+    properties = {
+        "claim": {
+            "enum": [claim.value for claim in MapClaim],
+            "description": "What is known of the map of space being one-to-one. certified: proved on the whole domain; "
+            "sampled: holds at the tested points, no proof; refuted: a counterexample was found; undecided: neither "
+            "proved nor refuted.",
+        },
+        "rule": _text("The sufficient condition that was tested."),
+        "margin": _number("Distance of the worst place from the limit of the rule: 0 at the limit, 1 at rest."),
+        "points_tested": _count("Points tested."),
+        "folded_points": _count("Tested points where det of the whole Jacobian is zero or negative."),
+        "min_jacobian_determinant": _number("Smallest det of the whole Jacobian (local volume ratio) at the points."),
+        "place_mm": {
+            "type": "array",
+            "items": {"type": ["number", "null"]},
+            "minItems": 3,
+            "maxItems": 3,
+            "description": "The worst place, in rest positions, mm.",
+        },
+    }
+    return _record(properties, "Is the map one-to-one?")
+
+
+def _mesh() -> Schema:
+    by_tissue = {"name": _text("Name of the tissue."), "inverted": _count("Inverted tetrahedra in it.")}
+    properties = {
+        "tets": _count("Tetrahedra."),
+        "inverted": _count("Tetrahedra with zero or negative volume after the deformation."),
+        "min_volume_ratio": _number("Smallest deformed volume over rest volume of a tetrahedron."),
+        "max_volume_ratio": _number("Largest deformed volume over rest volume of a tetrahedron."),
+        "claim": {
+            "enum": [claim.value for claim in MeshClaim],
+            "description": "What is known of the deformed mesh. certified: every tetrahedron proved positive by an exact "
+            "predicate and the boundary does not cross itself; sampled: positive in floating point; refuted: not so.",
+        },
+        "inverted_by_tissue": _list(_record(by_tissue, "One tissue."), "Where the inverted tetrahedra are."),
+    }
+    return _record(properties, "The deformed tetrahedra.")
+
+
+def _tissue() -> Schema:
+    no_skin = "null where there is no skin, and for the skin itself"
+    properties = {
+        "name": _text("Name of the tissue."),
+        "kind": _kind(),
+        "rest_volume_mm3": _number("Volume at rest, mm³."),
+        "volume_mm3": _number("Volume after the deformation, mm³."),
+        "volume_change_percent": _number("Change of volume, percent of the volume at rest."),
+        "rigidity_mm": _number(
+            "Bones: largest distance of a vertex from where a rigid motion takes it, mm; else null."
+        ),
+        "rigidity_reference": {
+            "type": ["string", "null"],
+            "description": 'Bones: which rigid motion, "prescribed" by the joints or the "best fit"; else null.',
+        },
+        "outside_skin_rest_mm3": _number(f"Volume outside the skin at rest, mm³; {no_skin}."),
+        "outside_skin_mm3": _number(f"Volume outside the skin after the deformation, mm³; {no_skin}."),
+        "outside_skin_introduced_mm3": _number(f"Volume newly outside the skin, mm³; {no_skin}."),
+    }
+    return _record(properties, "One tissue after the deformation.")
+
+
+def _overlap() -> Schema:
+    return _record({"a": _text("One tissue."), "b": _text("The other."), **_overlap_volumes()}, "Two tissues.")
+
+
+def _overlap_volumes() -> Schema:
+    return {
+        "rest_mm3": _number("Volume of the intersection at rest, mm³."),
+        "deformed_mm3": _number("Volume of the intersection after the deformation, mm³."),
+        "introduced_mm3": _number(
+            "Deformed overlap beyond the rest overlap carried along by the map, mm³; never below 0."
+        ),
+    }
+
+
+def _checks() -> Schema:
+    properties = {
+        "name": _text("What is held against the limit."),
+        "value": _number("The value found; null where it is missing or not finite, which fails."),
+        "limit": _number("The largest value that passes; null where there is no limit."),
+        "unit": _text("Unit of value and limit; empty for yes (1) or no (0)."),
+        "place": _text("Where the value was found; empty where there is no such place."),
+        "passed": {"type": "boolean", "description": "Whether the value is a number at or below the limit."},
+    }
+    return _list(_record(properties, "One limit held against one number."), "All checks; every one must pass.")
+
+
+def _not_checked() -> Schema:
+    properties = {"what": _text("A tissue or a pair."), "reason": _text("Why it could not be checked.")}
+    return _list(
+        _record(properties, "One thing not checked."), "What could not be checked; anything here fails the run."
+    )
+
+
+def _finding() -> Schema:
+    properties = {
+        "subject": _text("The tissue or file."),
+        "code": _text("A short stable word."),
+        "message": _text("What was found, with numbers."),
+    }
+    return _record(properties, "Something found in the input.")
+
+
+def _surface() -> Schema:
+    properties = {
+        "name": _text("Name of the tissue."),
+        "ply": _text("Its deformed surface as PLY."),
+        "vtp": _text("Its deformed surface as VTP, with displacements."),
+    }
+    return _record(properties, "The files of one tissue.")
+
+
+def _document(title: str, properties: Schema, required: list[str]) -> Schema:
+    return {
+        "$schema": _DIALECT,
+        "title": title,
+        "description": "Lengths in mm, volumes in mm³. A number that is missing or not finite is null.",
+        "type": "object",
+        "properties": properties,
+        "required": required,
+        "additionalProperties": False,
+    }
+
+
+def _record(properties: Schema, description: str) -> Schema:
+    return {
+        "type": "object",
+        "description": description,
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _list(items: Schema, description: str) -> Schema:
+    return {"type": "array", "description": description, "items": items}
+
+
+def _text(description: str) -> Schema:
+    return {"type": "string", "description": description}
+
+
+def _number(description: str) -> Schema:
+    return {"type": ["number", "null"], "description": description}
+
+
+def _count(description: str) -> Schema:
+    return {"type": "integer", "minimum": 0, "description": description}
+
+
+def _kind() -> Schema:
+    return {"enum": ["skin", "other", "muscle", "bone"], "description": "What the tissue is."}
+
+
+def _verdict() -> Schema:
+    return {"enum": ["passed", "failed"], "description": "passed when every check passed."}

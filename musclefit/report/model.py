@@ -1,0 +1,299 @@
+"""What one run or one inspection found, as a value; sums up what was measured, computes no geometry, knows no file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import TissueKind
+from musclefit.rig.model import Limits
+from musclefit.validate.model import (
+    Check,
+    LandmarkCheck,
+    MapCheck,
+    MapClaim,
+    MeshCheck,
+    MeshClaim,
+    NotChecked,
+    OverlapCheck,
+    PairOverlap,
+    TissueCheck,
+)
+
+SCHEMA_VERSION = 1
+"""Version of the report's JSON; raised whenever a key changes its meaning or goes away."""
+
+CONVERGED = "converged"
+"""The status of a run whose landmarks all arrived; every other text says how it ended early."""
+
+Verdict = Literal["passed", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapTotal:
+    """Overlap volumes summed over all pairs, mm³."""
+
+    rest_mm3: float
+    deformed_mm3: float
+    introduced_mm3: float
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """The outcome of one method on one anatomy.
+
+    Parameters
+    ----------
+    method : str
+        The method in words, for example "iterative RBF (Yu et al. 2014), r2logr, row-norm at all points".
+    status : str
+        ``CONVERGED``, or how the run ended instead, in words; anything but ``CONVERGED`` fails the run.
+    steps : int
+    landmarks, map, tissues, overlaps
+        What was measured.
+    mesh : MeshCheck or None
+        None where no tetrahedra were made.
+    """
+
+    method: str
+    status: str
+    steps: int
+    landmarks: LandmarkCheck
+    map: MapCheck
+    mesh: MeshCheck | None
+    tissues: tuple[TissueCheck, ...]
+    overlaps: OverlapCheck
+
+    @property
+    def overlap_total(self) -> OverlapTotal:
+        """Overlap volumes summed over all pairs."""
+        return total_overlap(self.overlaps.pairs)
+
+    def of_kind(self, kind: TissueKind) -> tuple[TissueCheck, ...]:
+        """The tissues of one kind, in order."""
+        return tuple(t for t in self.tissues if t.kind == kind)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Report:
+    """One run: the result, what it is compared with, and whether it keeps its limits.
+
+    Parameters
+    ----------
+    title : str
+    result : Side
+    baseline : Side or None
+        A method to compare with on the same input, or None where none was run; it never changes the verdict.
+    findings : tuple of Finding
+        What was found in the input; shown, but no part of the verdict.
+    limits : Limits
+    timings_s : mapping of stage name to seconds
+    peak_memory_mb : float
+    provenance : mapping
+        Versions, hashes of the input, settings: text, numbers, booleans, None, and lists and mappings of these.
+    """
+
+    title: str
+    result: Side
+    baseline: Side | None
+    findings: tuple[Finding, ...]
+    limits: Limits
+    timings_s: Mapping[str, float]
+    peak_memory_mb: float
+    provenance: Mapping[str, Any]
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The result held against the limits."""
+        return checks_against(self.limits, self.result)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Passed when every check of the result passed."""
+        return verdict_of(self.checks)
+
+
+@dataclass(frozen=True, slots=True)
+class TissueSummary:
+    """One tissue as it is; ``outside_skin_mm3`` is None where there is no skin, and for the skin itself."""
+
+    name: str
+    kind: str
+    vertices: int
+    triangles: int
+    volume_mm3: float
+    outside_skin_mm3: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class MeshLimits:
+    """What an anatomy as it is must keep to pass an inspection."""
+
+    overlap_mm3: float = 1.0
+    outside_skin_mm3: float = 1.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MeshReport:
+    """One inspection of an anatomy as it is.
+
+    ``overlaps`` holds the pairs at rest: ``rest_mm3`` and ``deformed_mm3`` are equal and nothing is introduced.
+    Findings are shown and do not change the verdict: what makes a tissue unusable is in ``overlaps.not_checked``.
+    """
+
+    title: str
+    frame: str
+    tissues: tuple[TissueSummary, ...]
+    findings: tuple[Finding, ...]
+    overlaps: OverlapCheck
+    limits: MeshLimits = field(default_factory=MeshLimits)
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+    peak_memory_mb: float = math.nan
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def overlap_total_mm3(self) -> float:
+        """Overlap volume summed over all pairs, mm³."""
+        return total_overlap(self.overlaps.pairs).rest_mm3
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The anatomy held against its limits."""
+        checks = [
+            _total("overlap", [(_pair(p), _volume(p.rest_mm3)) for p in self.overlaps.pairs], self.limits.overlap_mm3)
+        ]
+        if any(t.kind == TissueKind.SKIN for t in self.tissues):
+            outside = [(t.name, _volume(t.outside_skin_mm3)) for t in self.tissues if t.kind != TissueKind.SKIN]
+            checks.append(_total("outside skin", outside, self.limits.outside_skin_mm3))
+        return (*checks, _all_checked(self.overlaps.not_checked))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Passed when every check passed."""
+        return verdict_of(self.checks)
+
+
+def verdict_of(checks: Iterable[Check]) -> Verdict:
+    """Passed when every check passed."""
+    return "passed" if all(check.passed for check in checks) else "failed"
+
+
+def total_overlap(pairs: Iterable[PairOverlap]) -> OverlapTotal:
+    """Overlap volumes summed over pairs; one that is not a volume makes the sum NaN."""
+    pairs = tuple(pairs)
+    return OverlapTotal(
+        rest_mm3=math.fsum(_volume(p.rest_mm3) for p in pairs),
+        deformed_mm3=math.fsum(_volume(p.deformed_mm3) for p in pairs),
+        introduced_mm3=math.fsum(_volume(p.introduced_mm3) for p in pairs),
+    )
+
+
+def checks_against(limits: Limits, side: Side) -> tuple[Check, ...]:
+    """Hold what was measured against the limits.
+
+    A number that is missing or not finite becomes NaN and fails; so does anything that could not be checked. What the run
+    does not have at all (no bone, no muscle, no skin, no tetrahedra) makes no check: see ``absent``.
+
+    Parameters
+    ----------
+    limits : Limits
+    side : Side
+
+    Returns
+    -------
+    tuple of Check
+        Each passes when its value is a number at or below its limit.
+    """
+    bones, muscles = side.of_kind(TissueKind.BONE), side.of_kind(TissueKind.MUSCLE)
+    checks = [
+        Check("not converged", 0.0 if side.status == CONVERGED else 1.0, 0.0, "", side.status),
+        Check("landmark error", _finite(side.landmarks.max_error_mm), limits.landmark_mm, "mm", side.landmarks.worst),
+        *_map_checks(side.map),
+    ]
+    if side.mesh is not None:
+        checks += _mesh_checks(side.mesh, limits)
+    if bones:
+        bends = [(t.name, _measured(t.rigidity_mm)) for t in bones]
+        checks.append(_worst("bone off rigid", bends, limits.bone_rigidity_mm, unit="mm"))
+    if muscles:
+        changes = [(t.name, abs(_measured(t.volume_change_percent))) for t in muscles]
+        checks.append(_worst("muscle volume change", changes, limits.muscle_volume_percent, unit="%"))
+    pairs = [(_pair(p), _volume(p.introduced_mm3)) for p in side.overlaps.pairs]
+    checks.append(_total("introduced overlap", pairs, limits.introduced_overlap_mm3))
+    if side.of_kind(TissueKind.SKIN):
+        inside = [t for t in side.tissues if t.kind != TissueKind.SKIN]
+        outside = [(t.name, _volume(t.outside_skin_introduced_mm3)) for t in inside]
+        checks.append(_total("introduced outside skin", outside, limits.introduced_outside_skin_mm3))
+    return (*checks, _all_checked(side.overlaps.not_checked))
+
+
+def absent(side: Side) -> tuple[str, ...]:
+    """What the run does not have, and which therefore has no check."""
+    kinds = {t.kind for t in side.tissues}
+    told = [f"no {kind.value}" for kind in (TissueKind.BONE, TissueKind.MUSCLE, TissueKind.SKIN) if kind not in kinds]
+    return (*told, *(["no tetrahedra"] if side.mesh is None else []))
+
+
+def _map_checks(found: MapCheck) -> list[Check]:
+    """No tested point folded, and no fold proved; points that were never tested, or a determinant of NaN, fail."""
+    smallest = found.min_jacobian_determinant
+    tested = found.points_tested > 0 and (found.folded_points > 0 or (math.isfinite(smallest) and smallest > 0))
+    place = "at rest: ({:.4g}, {:.4g}, {:.4g}) mm".format(*found.place_mm) if found.folded_points else ""
+    refuted = found.claim is MapClaim.REFUTED
+    return [
+        Check("folded points", float(found.folded_points) if tested else math.nan, 0.0, "points", place),
+        Check("map refuted", float(refuted), 0.0, "", found.rule if refuted else ""),
+    ]
+
+
+def _mesh_checks(found: MeshCheck, limits: Limits) -> list[Check]:
+    """Inverted tets within their limit, and no refutation for any other cause than those."""
+    smallest = found.min_volume_ratio
+    measured = found.tets > 0 and (found.inverted > 0 or (math.isfinite(smallest) and smallest > 0))
+    worst = max(found.inverted_by_tissue, key=lambda item: item[1], default=("", 0))[0]
+    other_cause = found.claim is MeshClaim.REFUTED and found.inverted == 0
+    cause = "its boundary crosses itself" if other_cause else ""
+    return [
+        Check(
+            "inverted tets", float(found.inverted) if measured else math.nan, float(limits.inverted_tets), "tets", worst
+        ),
+        Check("mesh refuted", float(other_cause), 0.0, "", cause),
+    ]
+
+
+def _all_checked(left: tuple[NotChecked, ...]) -> Check:
+    return Check("not checked", float(len(left)), 0.0, "items", left[0].what if left else "")
+
+
+def _worst(name: str, values: list[tuple[str, float]], limit: float, *, unit: str) -> Check:
+    """The largest of named values; one that is not a number is worse than any number."""
+    place, value = max(values, key=lambda item: math.inf if math.isnan(item[1]) else item[1])
+    return Check(name, value, limit, unit, place)
+
+
+def _total(name: str, volumes: list[tuple[str, float]], limit: float) -> Check:
+    """The sum of named volumes, mm³, placed at the largest."""
+    total = math.fsum(volume for _, volume in volumes)
+    place, largest = max(volumes, key=lambda item: math.inf if math.isnan(item[1]) else item[1], default=("", 0.0))
+    return Check(name, total, limit, "mm³", "" if largest == 0 else place)
+
+
+def _pair(pair: PairOverlap) -> str:
+    return f"{pair.a} / {pair.b}"
+
+
+def _measured(value: float | None) -> float:
+    """The value, or NaN where it is missing or not finite."""
+    return math.nan if value is None else _finite(value)
+
+
+def _volume(value: float | None) -> float:
+    """An overlap volume, or NaN where it is missing, not finite or negative (a surface turned inside out)."""
+    return value if value is not None and math.isfinite(value) and value >= 0 else math.nan
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else math.nan

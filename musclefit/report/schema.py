@@ -1,0 +1,194 @@
+"""Turns a report into JSON values, every number finite or null, with the JSON Schema that documents the keys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from musclefit.anatomy.findings import Finding
+from musclefit.report.json_schema import mesh_report_schema, report_schema
+from musclefit.report.model import (
+    SCHEMA_VERSION,
+    MeshReport,
+    Report,
+    Side,
+    TissueSummary,
+    checks_against,
+    total_overlap,
+    verdict_of,
+)
+from musclefit.rig.model import Limits
+from musclefit.validate.model import Check, MapCheck, MeshCheck, NotChecked, PairOverlap, TissueCheck
+
+__all__ = ["Json", "mesh_report_schema", "mesh_report_to_json", "report_schema", "to_json"]
+
+Json = dict[str, Any]
+
+
+def to_json(report: Report) -> Json:
+    """The report as JSON values, as documented by ``report_schema``.
+
+    Numbers that are not finite become null; their checks have failed already.
+
+    Raises
+    ------
+    TypeError
+        The provenance holds something that has no JSON form; names its key.
+    """
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "title": report.title,
+        **_side(report.result, report.limits),
+        "findings": [_finding(f) for f in report.findings],
+        "baseline": None if report.baseline is None else _side(report.baseline, report.limits),
+        "timings_s": {name: _number(seconds) for name, seconds in report.timings_s.items()},
+        "peak_memory_mb": _number(report.peak_memory_mb),
+        "provenance": _plain(report.provenance, "provenance"),
+    }
+
+
+def mesh_report_to_json(report: MeshReport) -> Json:
+    """The inspection as JSON values, as documented by ``mesh_report_schema``."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "title": report.title,
+        "verdict": report.verdict,
+        "frame": report.frame,
+        "tissues": [_tissue_summary(t) for t in report.tissues],
+        "overlaps": [{"a": p.a, "b": p.b, "volume_mm3": _number(p.rest_mm3)} for p in report.overlaps.pairs],
+        "overlap_total_mm3": _number(report.overlap_total_mm3),
+        "pairs_tested": int(report.overlaps.pairs_tested),
+        "not_checked": [_not_checked(n) for n in report.overlaps.not_checked],
+        "findings": [_finding(f) for f in report.findings],
+        "checks": [_check(c) for c in report.checks],
+        "timings_s": {name: _number(seconds) for name, seconds in report.timings_s.items()},
+        "peak_memory_mb": _number(report.peak_memory_mb),
+        "provenance": _plain(report.provenance, "provenance"),
+    }
+
+
+def _side(side: Side, limits: Limits) -> Json:
+    checks = checks_against(limits, side)
+    total = total_overlap(side.overlaps.pairs)
+    return {
+        "verdict": verdict_of(checks),
+        "status": side.status,
+        "steps": int(side.steps),
+        "method": side.method,
+        "landmarks": {
+            "count": int(side.landmarks.count),
+            "max_error_mm": _number(side.landmarks.max_error_mm),
+            "worst": side.landmarks.worst,
+        },
+        "map": _map(side.map),
+        "mesh": None if side.mesh is None else _mesh(side.mesh),
+        "tissues": [_tissue(t) for t in side.tissues],
+        "overlaps": [_pair(p) for p in side.overlaps.pairs],
+        "overlap_total": {
+            "rest_mm3": _number(total.rest_mm3),
+            "deformed_mm3": _number(total.deformed_mm3),
+            "introduced_mm3": _number(total.introduced_mm3),
+        },
+        "pairs_tested": int(side.overlaps.pairs_tested),
+        "not_checked": [_not_checked(n) for n in side.overlaps.not_checked],
+        "checks": [_check(c) for c in checks],
+    }
+
+
+def _map(found: MapCheck) -> Json:
+    return {
+        "claim": found.claim.value,
+        "rule": found.rule,
+        "margin": _number(found.margin),
+        "points_tested": int(found.points_tested),
+        "folded_points": int(found.folded_points),
+        "min_jacobian_determinant": _number(found.min_jacobian_determinant),
+        "place_mm": [_number(x) for x in found.place_mm],
+    }
+
+
+def _mesh(found: MeshCheck) -> Json:
+    return {
+        "tets": int(found.tets),
+        "inverted": int(found.inverted),
+        "min_volume_ratio": _number(found.min_volume_ratio),
+        "max_volume_ratio": _number(found.max_volume_ratio),
+        "claim": found.claim.value,
+        "inverted_by_tissue": [{"name": name, "inverted": int(count)} for name, count in found.inverted_by_tissue],
+    }
+
+
+def _tissue(found: TissueCheck) -> Json:
+    return {
+        "name": found.name,
+        "kind": str(found.kind),
+        "rest_volume_mm3": _number(found.rest_volume_mm3),
+        "volume_mm3": _number(found.volume_mm3),
+        "volume_change_percent": _number(found.volume_change_percent),
+        "rigidity_mm": _number(found.rigidity_mm),
+        "rigidity_reference": found.rigidity_reference,
+        "outside_skin_rest_mm3": _number(found.outside_skin_rest_mm3),
+        "outside_skin_mm3": _number(found.outside_skin_mm3),
+        "outside_skin_introduced_mm3": _number(found.outside_skin_introduced_mm3),
+    }
+
+
+def _tissue_summary(found: TissueSummary) -> Json:
+    return {
+        "name": found.name,
+        "kind": str(found.kind),
+        "vertices": int(found.vertices),
+        "triangles": int(found.triangles),
+        "volume_mm3": _number(found.volume_mm3),
+        "outside_skin_mm3": _number(found.outside_skin_mm3),
+    }
+
+
+def _pair(found: PairOverlap) -> Json:
+    return {
+        "a": found.a,
+        "b": found.b,
+        "rest_mm3": _number(found.rest_mm3),
+        "deformed_mm3": _number(found.deformed_mm3),
+        "introduced_mm3": _number(found.introduced_mm3),
+    }
+
+
+def _not_checked(left: NotChecked) -> Json:
+    return {"what": left.what, "reason": left.reason}
+
+
+def _finding(found: Finding) -> Json:
+    return {"subject": found.subject, "code": found.code, "message": found.message}
+
+
+def _check(check: Check) -> Json:
+    return {
+        "name": check.name,
+        "value": _number(check.value),
+        "limit": _number(check.limit),
+        "unit": check.unit,
+        "place": check.place,
+        "passed": bool(check.passed),
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """The number, or None where JSON has no form for it."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _plain(value: object, key: str) -> Any:
+    """The value in JSON's own types."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return _number(value)
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v, f"{key}.{k}") for k, v in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
+        return [_plain(v, f"{key}[{i}]") for i, v in enumerate(value)]
+    raise TypeError(
+        f"{key} is a {type(value).__name__}; give text, numbers, booleans, None, lists or mappings of these"
+    )

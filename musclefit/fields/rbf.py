@@ -1,0 +1,225 @@
+"""Displacement fields that are radial sums with a polynomial part: scalar kernels and isochoric ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from musclefit.errors import FieldError
+from musclefit.fields import loops
+from musclefit.fields.kernels import KERNELS, RadialKernel
+from musclefit.fields.solve import SaddleFactor
+from musclefit.geometry.arrays import Float, Gradients, Points, frozen
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RadialField:
+    r"""D(x) = t + L (x - o) + sum_j K(x - c_j) w_j (Eq. 1 of the paper, for any kernel).
+
+    Parameters
+    ----------
+    kernel : str
+        A name of `musclefit.fields.kernels.KERNELS`.
+    scale : float, mm
+        The kernel's own length, where it has one.
+    centres : (m, n) float64, mm
+    weights : (m, n) float64
+    origin : (n,) float64, mm
+    linear : (n, n) float64
+    translation : (n,) float64, mm
+    polynomial_rank, polynomial_terms : int
+        How many of the polynomial part's terms the handles span, and how many it has; equal when they span space.
+
+    References
+    ----------
+    X. Yu et al., "Foldover-free shape deformation for biomedicine", J. Biomed. Inform. 48 (2014), Eq. 1, (A1)-(A3).
+    """
+
+    kernel: str
+    scale: float
+    centres: Points
+    weights: Points
+    origin: Float
+    linear: Float
+    translation: Float
+    polynomial_rank: int
+    polynomial_terms: int
+
+    def __post_init__(self) -> None:
+        for name in ("centres", "weights", "origin", "linear", "translation"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def displacement(self, points: Points) -> Points:
+        """(N, n) displacements at (N, n) points, mm."""
+        where = self._padded(points)
+        values = np.zeros_like(where)
+        kernel = KERNELS[self.kernel]
+        add_sum = loops.isochoric_sum if kernel.isochoric else loops.scalar_sum
+        add_sum(kernel.code, self.scale, where, *self._sources(), values)
+        return self._polynomial(points) + values[:, : points.shape[1]]
+
+    def gradient(self, points: Points) -> Gradients:
+        """(N, n, n) derivatives; at a centre of a kernel without gradient there, its one-sided mean."""
+        return self.displacement_and_gradient(points)[1]
+
+    def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
+        """Both in one pass."""
+        n = points.shape[1]
+        where = self._padded(points)
+        values, gradients = np.zeros_like(where), np.zeros((len(where), 3, 3))
+        kernel = KERNELS[self.kernel]
+        add_sum = loops.isochoric_sum_with_gradient if kernel.isochoric else loops.scalar_sum_with_gradient
+        add_sum(kernel.code, self.scale, where, *self._sources(), values, gradients)
+        return self._polynomial(points) + values[:, :n], self.linear + gradients[:, :n, :n]
+
+    def scaled(self, factor: float) -> Self:
+        """The field ``factor`` times as strong."""
+        return replace(
+            self,
+            weights=factor * self.weights,
+            linear=factor * self.linear,
+            translation=factor * self.translation,
+        )
+
+    def _polynomial(self, points: Points) -> Points:
+        moved: Points = self.translation + (points - self.origin) @ self.linear.T
+        return moved
+
+    def _sources(self) -> tuple[Float, Float]:
+        return (
+            np.ascontiguousarray(_in_space(self.centres - self.origin).T),
+            np.ascontiguousarray(_in_space(self.weights).T),
+        )
+
+    def _padded(self, points: Points) -> Points:
+        if points.ndim != 2 or points.shape[1] != self.centres.shape[1]:
+            raise FieldError(f"points have shape {points.shape}; this field needs (N, {self.centres.shape[1]})")
+        return np.ascontiguousarray(_in_space(points - self.origin))
+
+
+@dataclass(frozen=True, slots=True)
+class RadialBackend:
+    """Interpolates handle displacements by a radial sum with a polynomial part.
+
+    Parameters
+    ----------
+    kernel : str
+        A name of `musclefit.fields.kernels.KERNELS`. Isochoric kernels give fields without divergence, in 3-D.
+    scale : float, mm
+        The kernel's own length (support, width, mollifier); not used by r, r2logr, r3, isochoric-r3, isochoric-r5.
+    smoothing : float
+        0 interpolates; larger values let the field miss noisy landmarks. Added to the diagonal of the kernel matrix.
+    """
+
+    kernel: str
+    scale: float = 1.0
+    smoothing: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kernel not in KERNELS:
+            raise FieldError(f"no kernel is named {self.kernel!r}; there are: {', '.join(KERNELS)}")
+        if not self.scale > 0.0 or not np.isfinite(self.scale):
+            raise FieldError(f"the kernel's scale is {self.scale} mm; it must be a positive number")
+        if not self.smoothing >= 0.0:
+            raise FieldError(f"smoothing is {self.smoothing}; it must be 0 or more")
+
+    def fit(self, at: Points, displacements: Points) -> RadialField:
+        """The field that takes the (m, n) displacements at the (m, n) handles.
+
+        Raises
+        ------
+        FieldError
+            Handles coincide, or the kernel is too wide for their spacing.
+        """
+        return self.factor(at).field(displacements)
+
+    def factor(self, at: Points) -> RadialFactor:
+        """The factorised system of one configuration of handles, to be reused for many displacements."""
+        at = np.ascontiguousarray(at, dtype=np.float64)
+        kernel = KERNELS[self.kernel]
+        m, n = at.shape
+        if kernel.isochoric and n != 3:
+            raise FieldError(f"kernel {self.kernel!r} needs points in space; these have {n} coordinates")
+        origin = at.mean(axis=0)
+        local = at - origin
+        extent = float(np.abs(local).max()) or 1.0
+        matrix = np.empty((kernel.components * m,) * 2)
+        spatial = np.ascontiguousarray(_in_space(local))
+        fill = loops.isochoric_matrix if kernel.isochoric else loops.scalar_matrix
+        fill(kernel.code, self.scale, spatial, np.ascontiguousarray(spatial.T), matrix)
+        if self.smoothing:
+            matrix[np.diag_indices(len(matrix))] += self.smoothing
+        polynomials = _polynomials(local / extent, kernel)
+        return RadialFactor(self, at, origin, extent, SaddleFactor.of(matrix, polynomials))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RadialFactor:
+    """One configuration's factorised system."""
+
+    backend: RadialBackend
+    at: Points
+    origin: Float
+    extent: float
+    saddle: SaddleFactor
+
+    def field(self, displacements: Points) -> RadialField:
+        """The field for (m, n) displacements, mm."""
+        kernel = KERNELS[self.backend.kernel]
+        n = self.at.shape[1]
+        isochoric = kernel.isochoric
+        data = np.ascontiguousarray(displacements, dtype=np.float64)
+        weights, coefficients = self.saddle.solve(data.reshape(-1, 1) if isochoric else data)
+        linear, translation = np.zeros((n, n)), np.zeros(n)
+        terms = coefficients.size if isochoric else len(coefficients)
+        if terms:
+            if isochoric:
+                translation = coefficients[:3, 0]
+                linear = np.tensordot(coefficients[3:, 0], TRACELESS, axes=1)
+            else:
+                translation = coefficients[0]
+                linear = coefficients[1:].T
+        return RadialField(
+            kernel=self.backend.kernel,
+            scale=self.backend.scale,
+            centres=self.at,
+            weights=weights.reshape(-1, n),
+            origin=self.origin,
+            linear=linear / self.extent,
+            translation=translation,
+            polynomial_rank=self.saddle.rank,
+            polynomial_terms=terms,
+        )
+
+
+def _traceless_basis() -> Float:
+    """The 8 traceless 3x3 matrices: six off-diagonal, two diagonal, all of Frobenius norm 1."""
+    basis = np.zeros((8, 3, 3))
+    for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))):
+        basis[k, i, j] = 1.0
+    basis[6] = np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    basis[7] = np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0)
+    return basis
+
+
+TRACELESS = frozen(_traceless_basis())
+
+
+def _polynomials(local: Points, kernel: RadialKernel) -> Float:
+    """Values of the polynomial part's terms at the handles: affine, or translations and traceless linear maps."""
+    m, n = local.shape
+    if kernel.polynomial_degree < 0 or kernel.compact:
+        return np.zeros((kernel.components * m, 0))
+    if kernel.components == 1:
+        return np.hstack([np.ones((m, 1)), local])
+    values = np.zeros((m, n, n + len(TRACELESS)))
+    values[:, :, :n] = np.eye(n)
+    values[:, :, n:] = np.einsum("kij,mj->mik", TRACELESS, local)
+    return values.reshape(m * n, -1)
+
+
+def _in_space(points: Points) -> Points:
+    """Points of the plane embedded in space."""
+    return points if points.shape[1] == 3 else np.pad(points, ((0, 0), (0, 3 - points.shape[1])))

@@ -1,0 +1,87 @@
+"""A finished deformation as a value: steps in order, what each was judged by, and how the march ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+
+from musclefit.errors import NotConvergedError
+from musclefit.flow.steps import Step
+from musclefit.geometry.arrays import Gradients, Points
+
+
+class Status(StrEnum):
+    """How a march ended; the value is the message with its remedy."""
+
+    CONVERGED = "every handle is at its destination"
+    STALLED = "no safe step is left; the place that blocks is in the last step record"
+    OUT_OF_STEPS = "the step budget ran out; raise max_steps"
+    ONE_SHOT = "one step of full length, not held to any rule"
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """What was known when a step was accepted.
+
+    Parameters
+    ----------
+    start, end : float
+        The part of the path it covers, in [0, 1].
+    margin : float
+        1 minus the used share of the rule's limit over the tested points: 1 at rest, 0 at the limit, negative beyond.
+    worst_place : tuple of float, mm
+        The tested point with the smallest margin, where it stood before the step.
+    rejected : tuple of float
+        Path ends that were tried before and failed the rule.
+    """
+
+    start: float
+    end: float
+    margin: float
+    worst_place: tuple[float, ...]
+    rejected: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Deformation:
+    """A map of space composed of steps; apply it to any (N, n) points, mm."""
+
+    steps: tuple[Step, ...]
+    records: tuple[StepRecord, ...]
+    status: Status
+
+    def __call__(self, points: Points) -> Points:
+        """Where the map takes (N, n) points, mm."""
+        moved = np.array(points, dtype=np.float64)
+        for step in self.steps:
+            moved = step(moved)
+        return moved
+
+    def jacobian(self, points: Points) -> Gradients:
+        """(N, n, n) derivatives of the whole map at (N, n) points, by the chain rule."""
+        moved = np.array(points, dtype=np.float64)
+        whole: Gradients = np.broadcast_to(np.eye(points.shape[1]), (len(points), *(points.shape[1],) * 2)).copy()
+        for k, step in enumerate(self.steps):
+            whole = step.jacobian(moved) @ whole
+            if k + 1 < len(self.steps):
+                moved = step(moved)
+        return whole
+
+    def inverse(self) -> Deformation:
+        """The map that undoes this one: inverse steps in reverse order."""
+        return Deformation(tuple(step.inverse() for step in reversed(self.steps)), (), self.status)
+
+    def require(self) -> Self:
+        """This deformation if it converged.
+
+        Raises
+        ------
+        NotConvergedError
+            It ended early; the error carries it.
+        """
+        if self.status is not Status.CONVERGED:
+            raise NotConvergedError(f"the deformation ended early: {self.status.value}", result=self)
+        return self

@@ -111,6 +111,24 @@ class OverlapCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class OutsideSkin:
+    """Volume of one tissue outside the skin, mm³; introduced beyond what was outside at rest, never below 0."""
+
+    name: str
+    rest_mm3: float
+    deformed_mm3: float
+    introduced_mm3: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideCheck:
+    """Every tissue but the skin that could be checked, in the anatomy's order, and what could not be checked."""
+
+    tissues: tuple[OutsideSkin, ...]
+    not_checked: tuple[NotChecked, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Check:
     """One limit of the rig held against one number; ``place`` names where."""
 

@@ -1,0 +1,278 @@
+"""Which tissues overlap, and which leave the skin: at rest, deformed, and introduced by the deformation.
+
+A one-to-one map cannot make disjoint tissues intersect, but meshes see it only at their vertices; and what overlaps at
+rest rides along. So *introduced* is the deformed volume for what was apart at rest, and the deformed volume beyond the
+volume of the mapped rest overlap for the others, never below 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from musclefit.anatomy.model import Anatomy, TissueKind
+from musclefit.errors import InputError, MeshError
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.solids import (
+    ROUNDING_MM3,
+    Solid,
+    candidate_pairs,
+    outside_mesh,
+    overlap_mesh,
+    overlap_volume,
+    solid_of,
+    volume_outside,
+)
+from musclefit.progress import Progress
+from musclefit.validate.carried import Mapped, carried_volumes
+from musclefit.validate.model import NotChecked, OutsideCheck, OutsideSkin, OverlapCheck, PairOverlap
+
+WHOLE_RELATIVE = 1e-9
+"""A part is the whole of a tissue when its volume falls short by at most this fraction."""
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SolidAnatomy:
+    """An anatomy whose surfaces are prepared for booleans; made by `solid_anatomy`, once for many checks.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    solids : mapping of tissue name to Solid
+    refused : mapping of tissue name to the reason why its surface is no solid
+    """
+
+    anatomy: Anatomy
+    solids: Mapping[str, Solid]
+    refused: Mapping[str, str]
+
+
+def solid_anatomy(anatomy: Anatomy, *, progress: Progress) -> SolidAnatomy:
+    """Prepare every surface for booleans; a surface that is no solid is kept with the reason."""
+    solids: dict[str, Solid] = {}
+    refused: dict[str, str] = {}
+    with progress.stage("solids") as tick:
+        for number, tissue in enumerate(anatomy):
+            try:
+                solids[tissue.name] = solid_of(tissue.surface)
+            except MeshError as error:
+                refused[tissue.name] = str(error)
+            tick((number + 1) / len(anatomy))
+    return SolidAnatomy(anatomy, solids, refused)
+
+
+def rest_overlaps(anatomy: Anatomy | SolidAnatomy, *, progress: Progress) -> OverlapCheck:
+    """Every overlapping pair of tissues, the skin left out, as the anatomy stands.
+
+    Returns
+    -------
+    OverlapCheck
+        With ``deformed_mm3`` equal to ``rest_mm3`` and nothing introduced.
+    """
+    rest = _solid(anatomy, progress)
+    names = _names_without_skin(rest.anatomy)
+    near = _near_pairs(rest, names)
+    volumes, failed = _volumes(rest, near, measure=_OVERLAP, when="at rest", progress=progress)
+    pairs = [PairOverlap(a, b, volume, volume, 0.0) for (a, b), volume in volumes.items() if volume > ROUNDING_MM3]
+    solid = sum(name in rest.solids for name in names)
+    return OverlapCheck(
+        pairs=_largest_first(pairs),
+        pairs_tested=solid * (solid - 1) // 2 - len(failed),
+        not_checked=(*_refusals(names, (rest, "at rest")), *failed),
+    )
+
+
+def check_overlaps(
+    rest: Anatomy | SolidAnatomy, deformed: Anatomy | SolidAnatomy, *, mapped: Mapped, progress: Progress
+) -> OverlapCheck:
+    """Every pair of tissues, the skin left out, that overlaps at rest or deformed.
+
+    Parameters
+    ----------
+    rest, deformed : Anatomy or SolidAnatomy
+        The same tissues before and after. Give `solid_anatomy` of the rest when it is checked against many poses.
+    mapped : callable
+        The map of space that made ``deformed`` from ``rest``, (N, 3) mm -> (N, 3) mm; carries the rest overlap along.
+
+    Returns
+    -------
+    OverlapCheck
+        ``pairs_tested`` counts all pairs of which both volumes are known, those with boxes apart included.
+        A tissue that is wholly inside another at rest introduces nothing: it cannot overlap it more.
+
+    Raises
+    ------
+    InputError
+        The two anatomies have different tissues.
+    """
+    before, after = _solid(rest, progress), _solid(deformed, progress)
+    _require_same_tissues(before.anatomy, after.anatomy)
+    names = _names_without_skin(before.anatomy)
+    solid = [name for name in names if name in before.solids and name in after.solids]
+    near = sorted({*_near_pairs(before, solid), *_near_pairs(after, solid)})
+    known, failed = _introduced(before, after, near, measure=_OVERLAP, mapped=mapped, progress=progress)
+    pairs = [
+        PairOverlap(a, b, v.rest, v.deformed, v.introduced)
+        for (a, b), v in known.items()
+        if max(v.rest, v.deformed) > ROUNDING_MM3
+    ]
+    return OverlapCheck(
+        pairs=_largest_first(pairs),
+        pairs_tested=len(solid) * (len(solid) - 1) // 2 - len(near) + len(known),
+        not_checked=(*_refusals(names, (before, "at rest"), (after, "deformed")), *failed),
+    )
+
+
+def check_outside_skin(
+    rest: Anatomy | SolidAnatomy, deformed: Anatomy | SolidAnatomy, *, mapped: Mapped, progress: Progress
+) -> OutsideCheck:
+    """Volume of every tissue outside the skin: at rest, deformed and introduced.
+
+    Parameters
+    ----------
+    rest, deformed : Anatomy or SolidAnatomy
+        The same tissues before and after.
+    mapped : callable
+        The map of space that made ``deformed`` from ``rest``; carries along what was outside at rest.
+
+    Returns
+    -------
+    OutsideCheck
+        Without tissues, and with the reason, where there is no skin or the skin is no solid.
+        A tissue that is wholly outside at rest introduces nothing.
+
+    Raises
+    ------
+    InputError
+        The two anatomies have different tissues.
+    """
+    before, after = _solid(rest, progress), _solid(deformed, progress)
+    _require_same_tissues(before.anatomy, after.anatomy)
+    skin = before.anatomy.skin
+    if skin is None:
+        return OutsideCheck((), (NotChecked("skin", "the anatomy has no skin, so nothing can be outside it"),))
+    names = _names_without_skin(before.anatomy)
+    refused = _refusals((skin.name, *names), (before, "at rest"), (after, "deformed"))
+    if skin.name not in before.solids or skin.name not in after.solids:
+        return OutsideCheck((), refused)
+    pairs = [(name, skin.name) for name in names if name in before.solids and name in after.solids]
+    known, failed = _introduced(before, after, pairs, measure=_OUTSIDE, mapped=mapped, progress=progress)
+    tissues = tuple(OutsideSkin(name, v.rest, v.deformed, v.introduced) for (name, _), v in known.items())
+    return OutsideCheck(tissues, (*refused, *failed))
+
+
+@dataclass(frozen=True, slots=True)
+class _Measure:
+    """What is measured of two solids: its volume, its surface, and how large it can be at most."""
+
+    title: str
+    volume: Callable[[Solid, Solid], float]
+    surface: Callable[[Solid, Solid], TriMesh]
+    most: Callable[[Solid, Solid], float]
+
+
+_OVERLAP = _Measure("overlaps", overlap_volume, overlap_mesh, lambda a, b: min(a.volume, b.volume))
+_OUTSIDE = _Measure("outside the skin", volume_outside, outside_mesh, lambda a, _: a.volume)
+
+
+@dataclass(frozen=True, slots=True)
+class _Volumes:
+    """Volumes of one pair, mm³."""
+
+    rest: float
+    deformed: float
+    introduced: float
+
+
+def _introduced(
+    before: SolidAnatomy,
+    after: SolidAnatomy,
+    pairs: Sequence[Pair],
+    *,
+    measure: _Measure,
+    mapped: Mapped,
+    progress: Progress,
+) -> tuple[dict[Pair, _Volumes], tuple[NotChecked, ...]]:
+    """Volumes of each pair at rest, deformed and introduced, and the pairs of which they are not known."""
+    at_rest, failed_rest = _volumes(before, pairs, measure=measure, when="at rest", progress=progress)
+    at_end, failed_end = _volumes(after, list(at_rest), measure=measure, when="deformed", progress=progress)
+    riding, whole = [], set()
+    for a, b in at_end:
+        most = measure.most(before.solids[a], before.solids[b])
+        if at_rest[a, b] >= most * (1.0 - WHOLE_RELATIVE):
+            whole.add((a, b))
+        elif min(at_rest[a, b], at_end[a, b]) > ROUNDING_MM3:
+            riding.append((a, b))
+    parts = [measure.surface(before.solids[a], before.solids[b]) for a, b in riding]
+    with progress.stage(f"{measure.title}: mapping those at rest") as tick:
+        carried = dict(zip(riding, carried_volumes(parts, mapped=mapped, tick=tick), strict=True))
+    known = {}
+    for pair, deformed in at_end.items():
+        ridden = carried[pair].volume_mm3 if pair in carried else 0.0
+        beyond = 0.0 if pair in whole or deformed <= ROUNDING_MM3 else max(deformed - ridden, 0.0)
+        known[pair] = _Volumes(at_rest[pair], deformed, beyond)
+    unsettled = tuple(
+        NotChecked(f"{a} / {b}", f"{measure.title}: mapped volume of what was there at rest: {c.doubt()}")
+        for (a, b), c in carried.items()
+        if not c.settled
+    )
+    return known, (*failed_rest, *failed_end, *unsettled)
+
+
+def _volumes(
+    state: SolidAnatomy, pairs: Sequence[Pair], *, measure: _Measure, when: str, progress: Progress
+) -> tuple[dict[Pair, float], tuple[NotChecked, ...]]:
+    """The measured volume of each pair, and the pairs whose volume cannot be believed.
+
+    Plain loop on purpose: the booleans use all cores themselves, threads on top gained nothing.
+    """
+    volumes, failed = {}, []
+    with progress.stage(f"{measure.title} {when}") as tick:
+        for number, (a, b) in enumerate(pairs):
+            try:
+                volumes[a, b] = measure.volume(state.solids[a], state.solids[b])
+            except MeshError as error:
+                failed.append(NotChecked(f"{a} / {b}", f"{measure.title} {when}: {error}"))
+            tick((number + 1) / len(pairs))
+    return volumes, tuple(failed)
+
+
+def _solid(anatomy: Anatomy | SolidAnatomy, progress: Progress) -> SolidAnatomy:
+    return anatomy if isinstance(anatomy, SolidAnatomy) else solid_anatomy(anatomy, progress=progress)
+
+
+def _names_without_skin(anatomy: Anatomy) -> tuple[str, ...]:
+    return tuple(tissue.name for tissue in anatomy if tissue.kind is not TissueKind.SKIN)
+
+
+def _require_same_tissues(rest: Anatomy, deformed: Anatomy) -> None:
+    for a, b in zip(rest, deformed, strict=False):
+        if a.name != b.name or a.kind is not b.kind:
+            raise InputError(
+                f"the rest anatomy has {a.kind} {a.name!r} where the deformed one has {b.kind} {b.name!r}; "
+                "check the same tissues before and after"
+            )
+    if len(rest) != len(deformed):
+        raise InputError(f"the rest anatomy has {len(rest)} tissues, the deformed one {len(deformed)}; give the same")
+
+
+def _refusals(names: Iterable[str], *states: tuple[SolidAnatomy, str]) -> tuple[NotChecked, ...]:
+    """One entry per tissue that is no solid, with the first state in which it is none."""
+    found = []
+    for name in names:
+        reasons = [f"{when}: {state.refused[name]}" for state, when in states if name in state.refused]
+        if reasons:
+            found.append(NotChecked(name, reasons[0]))
+    return tuple(found)
+
+
+def _near_pairs(state: SolidAnatomy, names: Sequence[str]) -> list[Pair]:
+    """Pairs of solids whose boxes touch, in the anatomy's order."""
+    solid = [name for name in names if name in state.solids]
+    return [(solid[i], solid[j]) for i, j in candidate_pairs([state.solids[name].box for name in solid])]
+
+
+def _largest_first(pairs: Iterable[PairOverlap]) -> tuple[PairOverlap, ...]:
+    return tuple(sorted(pairs, key=lambda p: (-p.introduced_mm3, -p.deformed_mm3, -p.rest_mm3, p.a, p.b)))

@@ -340,10 +340,10 @@ def _joint(name: str, section: Section, *, unit: Unit) -> Joint:
         if key in section:
             section.text(key)
     axis = section.vector("axis", length=3)
-    length = float(np.linalg.norm(axis))
-    if not 1.0 / _LONGEST_AXIS < length < _LONGEST_AXIS:
+    largest = float(np.abs(axis).max())
+    if not 1.0 / _LONGEST_AXIS < largest < _LONGEST_AXIS:
         raise section.error(
-            "axis", f"found {axis.tolist()} of length {length:g}, too short or long to give a direction; scale it to 1"
+            "axis", f"found {axis.tolist()}, which is too short or too long to give a direction; scale it to length 1"
         )
     fixed, moving = section.texts("fixed"), section.texts("moving")
     if not moving:

@@ -44,6 +44,7 @@ class StepKind(StrEnum):
     """How one step is made from a field."""
 
     EXPLICIT = "explicit"
+    CAYLEY = "cayley"
 
 
 class StepRule(StrEnum):
@@ -56,6 +57,8 @@ class StepRule(StrEnum):
 
 class TestedAt(StrEnum):
     """Where the step rule is tested."""
+
+    __test__ = False  # pytest takes imported classes whose name begins with Test for test cases
 
     ALL_POINTS = "all-points"
     LANDMARKS = "landmarks"

@@ -158,10 +158,13 @@ def _as_float(value: int | float) -> float:
 
 
 def _shown(value: object) -> str:
-    text = (
-        repr(value) if not isinstance(value, int) or abs(value) < 10**20 else f"a number of {value.bit_length()} bits"
-    )
+    text = "a number of more than 20 digits" if _is_huge(value) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _is_huge(value: object) -> bool:
+    """Whether a whole number has too many digits to show (Python refuses to print some)."""
+    return isinstance(value, int) and abs(value) >= 10**20
 
 
 def _described(value: object) -> str:
@@ -170,7 +173,7 @@ def _described(value: object) -> str:
     if isinstance(value, str):
         return f"the text {_shown(value)}"
     if isinstance(value, int | float):
-        return f"the number {_shown(value)}"
+        return _shown(value) if _is_huge(value) else f"the number {_shown(value)}"
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list | tuple):

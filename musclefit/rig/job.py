@@ -1,0 +1,217 @@
+"""A job: takes a rig and what its files hold, gives all that one run needs, checked before long work; opens no file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy, TissueKind
+from musclefit.errors import LandmarkError, MeshError, RigError
+from musclefit.geometry.arrays import Points
+from musclefit.geometry.meshes import TriMesh
+from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, StraightPath
+from musclefit.rig.joints import JointSystem
+from musclefit.rig.model import PathKind, Rig
+from musclefit.rig.section import suggestion
+
+SAME_PLACE_MM = 1e-6
+"""Handles closer than this are one place: no field can tell them apart at the default landmark limit."""
+
+FAR_DIAGONALS = 1.0
+"""Handles farther outside the anatomy than this many diagonals of its box are taken for a slip of units or frame."""
+
+SMALL_DIAGONALS = 1.0 / 300.0
+"""Three or more handles that span less than this many diagonals are taken for metres read as millimetres."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Job:
+    """Everything one run needs.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the overrides applied and absolute paths.
+    anatomy : Anatomy
+        At rest, mm.
+    findings : tuple of Finding
+        What was noticed when reading; none of it was changed.
+    handles : Handles
+    path : Path
+        From ``handles.source`` at 0 to the destinations at 1.
+    motions : BoneMotions or None
+        The rigid motion of every bone; None where no joint drives.
+    hashes : mapping of file to SHA-256
+        Of every file that was read.
+    name : str
+        The rig file's name without suffix.
+    source : str
+        The rig file.
+    joints : JointSystem or None
+        For other poses of the same bones; None where no joint drives.
+    overrides : tuple of str
+        The ``key=value`` that changed the rig file's settings.
+    """
+
+    rig: Rig
+    anatomy: Anatomy
+    findings: tuple[Finding, ...]
+    handles: Handles
+    path: Path
+    motions: BoneMotions | None
+    hashes: Mapping[str, str]
+    name: str
+    source: str
+    joints: JointSystem | None = None
+    overrides: tuple[str, ...] = ()
+
+
+def path_by_pairs(handles: Handles, target: Points) -> StraightPath:
+    """Straight lines from the handles to ``target``, (m, 3) mm.
+
+    Raises
+    ------
+    LandmarkError
+        Another number of targets than of handles, or a target that is not finite.
+    """
+    if target.shape != handles.source.shape:
+        raise LandmarkError(f"{len(handles)} handles have {len(target)} targets; give one target for each")
+    bad = np.flatnonzero(~np.isfinite(target).all(axis=1))
+    if bad.size:
+        raise LandmarkError(f"the target of handle {handles.names[bad[0]]!r} is not finite: {target[bad[0]]}")
+    return StraightPath(handles.source, target)
+
+
+def path_by_joints(handles: Handles, motions: BoneMotions, *, kind: PathKind) -> Path:
+    """The handles on their bones: carried all the way (``joints``), or straight to where the pose puts them.
+
+    Raises
+    ------
+    LandmarkError
+        A handle without a bone, or on one that no joint knows.
+    """
+    known = motions.at(0.0)
+    for name, owner in zip(handles.names, handles.owner, strict=True):
+        if not owner:
+            raise LandmarkError(f"landmark {name!r} names no bone; joints move bones, so give it one (column bone)")
+        if owner not in known:
+            raise LandmarkError(
+                f"landmark {name!r} belongs to bone {owner!r}, which no joint moves or fixes; "
+                f"{suggestion(owner, known)}"
+            )
+    carried = BonePath(handles, motions)
+    return carried if kind is PathKind.JOINTS else StraightPath(handles.source, carried.position(1.0))
+
+
+def cage_handles(source: TriMesh, target: TriMesh) -> tuple[Handles, Points]:
+    """The vertices of a cage as handles (``cage_0``, ``cage_1``, ...) and where they go.
+
+    Raises
+    ------
+    MeshError
+        Cages with different numbers of vertices, or with different triangles.
+    """
+    counts = len(source.vertices), len(target.vertices)
+    if counts[0] != counts[1]:
+        raise MeshError(
+            f"the source cage has {counts[0]} vertices, the target cage {counts[1]}; both must have the same vertices "
+            "in the same order"
+        )
+    if source.faces.shape != target.faces.shape:
+        raise MeshError(
+            f"the source cage has {len(source.faces)} triangles, the target cage {len(target.faces)}; both must have "
+            "the same triangles"
+        )
+    differing = np.flatnonzero((source.faces != target.faces).any(axis=1))
+    if differing.size:
+        first = int(differing[0])
+        raise MeshError(
+            f"{differing.size} of {len(source.faces)} triangles of the two cages differ; the first is number {first}: "
+            f"{source.faces[first].tolist()} in the source, {target.faces[first].tolist()} in the target; both must "
+            "have the same triangles in the same order"
+        )
+    names = tuple(f"cage_{k}" for k in range(counts[0]))
+    return Handles(names, source.vertices, ("",) * counts[0]), target.vertices
+
+
+def check_handles(handles: Handles, path: Path, anatomy: Anatomy) -> None:
+    """Raise LandmarkError when the handles cannot drive this anatomy: cheap, so that long work does not fail late.
+
+    Two handles at one place or sent to one place, a bone that the anatomy does not have, handles far outside the
+    anatomy, or handles so close together that they are likely in other units.
+    """
+    bones = [tissue.name for tissue in anatomy.of_kind(TissueKind.BONE)]
+    for name, owner in zip(handles.names, handles.owner, strict=True):
+        if owner and owner not in bones:
+            raise LandmarkError(
+                f"landmark {name!r} belongs to bone {owner!r}, which the anatomy does not have; "
+                f"{suggestion(owner, bones)}"
+            )
+    _require_apart(handles, handles.source, said="stand at one place")
+    _require_apart(handles, path.position(1.0), said="are sent to one place")
+    _require_near(handles, anatomy)
+
+
+def joint_findings(anatomy: Anatomy, joints: JointSystem, *, subject: str) -> tuple[Finding, ...]:
+    """One finding that names the bones of the anatomy that no joint fixes or moves, if there are any."""
+    known = set(joints.bones())
+    free = [t.name for t in anatomy.of_kind(TissueKind.BONE) if t.name not in known]
+    if not free:
+        return ()
+    message = f"{len(free)} bones are neither fixed nor moved by a joint and follow the soft tissue: {', '.join(free)}"
+    return (Finding(subject, "bone-without-joint", message),)
+
+
+def require_bones(anatomy: Anatomy, joints: JointSystem) -> None:
+    """Raise RigError unless every bone of the joints is a bone of the anatomy."""
+    bones = [tissue.name for tissue in anatomy.of_kind(TissueKind.BONE)]
+    if not bones:
+        raise RigError(
+            f"{joints.source}: joints move bones, but the anatomy has none; set kinds in [anatomy.kinds], "
+            'for example "femur*" = "bone"'
+        )
+    joints.check_bones(bones)
+
+
+def _require_apart(handles: Handles, places: Points, *, said: str) -> None:
+    if len(places) < 2:
+        return
+    found = cKDTree(places).query(places, k=2)
+    distances, neighbours = np.asarray(found[0]), np.asarray(found[1])
+    first = int(np.argmin(distances[:, 1]))
+    if distances[first, 1] >= SAME_PLACE_MM:
+        return
+    other = int(next(k for k in neighbours[first] if k != first))
+    a, b = sorted((first, other))
+    raise LandmarkError(
+        f"landmarks {handles.names[a]!r} and {handles.names[b]!r} {said}, ({_place(places[a])}) mm, "
+        f"{np.linalg.norm(places[a] - places[b]):.2g} mm apart; remove or correct one"
+    )
+
+
+def _require_near(handles: Handles, anatomy: Anatomy) -> None:
+    vertices = anatomy.vertices()
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    outside = np.linalg.norm(np.maximum(0.0, np.maximum(low - handles.source, handles.source - high)), axis=1)
+    worst = int(np.argmax(outside))
+    if outside[worst] > FAR_DIAGONALS * diagonal:
+        raise LandmarkError(
+            f"landmark {handles.names[worst]!r} at ({_place(handles.source[worst])}) mm is {outside[worst]:.4g} mm "
+            f"outside the anatomy, whose box from ({_place(low)}) to ({_place(high)}) mm has a diagonal of "
+            f"{diagonal:.4g} mm; likely wrong units or another frame: state drive.units and anatomy.units"
+        )
+    span = float(np.linalg.norm(np.ptp(handles.source, axis=0)))
+    if len(handles) >= 3 and span < SMALL_DIAGONALS * diagonal:
+        raise LandmarkError(
+            f"the {len(handles)} landmarks span {span:.4g} mm of an anatomy with a diagonal of {diagonal:.4g} mm; "
+            'likely wrong units: state drive.units (for example "m") and anatomy.units'
+        )
+
+
+def _place(point: Points) -> str:
+    return ", ".join(f"{x:.6g}" for x in point)

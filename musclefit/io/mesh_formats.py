@@ -1,0 +1,222 @@
+"""The bytes of a surface file -> vertices and faces as they stand in it; knows formats, not tissues.
+
+STL, PLY and OBJ are read here and in `io.ply`, not by trimesh or VTK, because a file cut short must never pass for
+a whole one: trimesh 5.2 returns 9 of 12 triangles of a shortened ASCII PLY and 11 of 12 of a shortened OBJ in
+silence, VTK 9.7 crashes the process on a shortened binary PLY and rounds its coordinates to single precision. Every
+count that a file states is held against what it contains. What no reader can see is a text file cut inside its last
+number, or an OBJ (which states no counts) cut between two lines; such a surface is open or uses a wrong vertex, which
+the check for closed surfaces finds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkObject
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+from musclefit.errors import MeshError
+from musclefit.geometry.arrays import Faces, Float, Int, Points
+
+WAY_OUT = "the file is damaged or cut short; export it again"
+"""What to do about a file that does not hold what it says."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Polygons:
+    """What a surface file holds.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64, in the file's unit
+    faces : (f, 3) int64, 0-based as in the file, polygons cut into triangles
+    cut : int
+        Polygons with more than three corners that were cut into triangles, all from their first corner.
+    """
+
+    vertices: Points
+    faces: Faces
+    cut: int
+
+
+def read_stl(data: bytes, source: str) -> Polygons:
+    """Read STL, binary or ASCII; each triangle has its own three vertices, and the stated normals are not used.
+
+    Raises
+    ------
+    MeshError
+        The bytes are not a whole STL file; ``source`` names the file in the message.
+    """
+    stated = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
+    if stated >= 0 and len(data) == 84 + 50 * stated:
+        record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.frombuffer(data, record, offset=84)["corners"].astype(np.float64)
+    elif data.lstrip()[:5].lower() == b"solid":
+        corners = _ascii_stl_corners(data, source)
+    else:
+        needed = f"{stated} triangles, which take {84 + 50 * stated} bytes" if stated >= 0 else "a header of 84 bytes"
+        raise MeshError(f"{source}: a binary STL with {needed}, but the file has {len(data)} bytes; {WAY_OUT}")
+    return Polygons(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3), 0)
+
+
+_STL_FACET = [
+    *((0, b"facet"), (1, b"normal"), (5, b"outer"), (6, b"loop")),
+    *((7, b"vertex"), (11, b"vertex"), (15, b"vertex"), (19, b"endloop"), (20, b"endfacet")),
+]
+"""Where the words stand in one facet of an ASCII STL, which is 21 words long."""
+
+
+def _ascii_stl_corners(data: bytes, source: str) -> Float:
+    lines = [line.strip() for line in data.splitlines()]
+    bounds = [
+        line.split()[0].lower() for line in lines if line[:5].lower() == b"solid" or line[:8].lower() == b"endsolid"
+    ]
+    if bounds.count(b"solid") != bounds.count(b"endsolid"):
+        raise MeshError(f"{source}: an ASCII STL without its last line 'endsolid'; {WAY_OUT}")
+    body = [line for line in lines if line[:5].lower() != b"solid" and line[:8].lower() != b"endsolid"]
+    words = np.array(b" ".join(body).lower().split(), dtype=object)
+    if len(words) % 21:
+        raise MeshError(f"{source}: facet {len(words) // 21 + 1} of this ASCII STL is incomplete; {WAY_OUT}")
+    facets = words.reshape(-1, 21)
+    for column, word in _STL_FACET:
+        wrong = np.flatnonzero(facets[:, column] != word)
+        if wrong.size:
+            found = facets[wrong[0], column].decode(errors="replace")
+            raise MeshError(f"{source}: facet {wrong[0] + 1} has {found!r} instead of {word.decode()!r}; {WAY_OUT}")
+    numbers = _numbers(facets[:, [8, 9, 10, 12, 13, 14, 16, 17, 18]].ravel(), source, what="a corner")
+    return numbers.reshape(-1, 3, 3)
+
+
+_OBJ_IGNORED = frozenset(
+    {"vt", "vn", "vp", "g", "o", "s", "l", "p", "usemtl", "mtllib", "usemap", "maplib"}
+    | {"lod", "bevel", "c_interp", "d_interp", "shadow_obj"}
+)
+
+
+def read_obj(data: bytes, source: str) -> Polygons:
+    """Read the ``v`` and ``f`` of Wavefront OBJ; textures, normals, groups, materials, lines, points are passed over.
+
+    Raises
+    ------
+    MeshError
+        A statement that is none, a face with less than three corners or with vertices that are not there.
+    """
+    vertices: list[bytes] = []
+    polygons: list[list[int]] = []
+    text = re.sub(rb"\\\r?\n", b" ", data)
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split(b"#", 1)[0].split()
+        if not words:
+            continue
+        if words[0] == b"v":
+            if len(words) < 4:
+                raise MeshError(f"{source}: line {number}: a vertex with {len(words) - 1} of 3 coordinates; {WAY_OUT}")
+            vertices.extend(words[1:4])
+        elif words[0] == b"f":
+            polygons.append(_obj_corners(words[1:], f"{source}: line {number}", len(vertices) // 3))
+        elif words[0].decode("latin-1") not in _OBJ_IGNORED:
+            raise MeshError(
+                f"{source}: line {number}: {words[0][:20].decode('latin-1')!r} is no statement of a polygonal OBJ; "
+                "the file is not OBJ, is damaged, or holds curved surfaces: export it as triangles"
+            )
+    points = _numbers(np.array(vertices, dtype=object), source, what="a vertex").reshape(-1, 3)
+    faces, cut = _triangles(polygons, source)
+    return Polygons(points, faces, cut)
+
+
+def _obj_corners(words: list[bytes], place: str, known: int) -> list[int]:
+    try:
+        indices = [int(word.split(b"/", 1)[0]) for word in words]
+    except ValueError as error:
+        raise MeshError(f"{place}: a face has a corner that is no whole number ({error}); {WAY_OUT}") from error
+    if 0 in indices:
+        raise MeshError(f"{place}: a face refers to vertex 0, but OBJ counts from 1; export the file again")
+    return [i - 1 if i > 0 else known + i for i in indices]
+
+
+def read_vtp(data: bytes, source: str) -> Polygons:
+    """Read VTK XML poly data through VTK, its polygons only.
+
+    Raises
+    ------
+    MeshError
+        VTK reports an error, the counts stated in the file differ from what was read, or there are triangle strips.
+    """
+    if not data.rstrip().endswith(b"</VTKFile>"):
+        raise MeshError(f"{source}: not a whole VTP file, its last tag </VTKFile> is missing; {WAY_OUT}")
+    head = data.split(b"<AppendedData", 1)[0]
+    stated = {key: sum(int(n) for n in re.findall(rb"\b%s=\"(\d+)\"" % key.encode(), head)) for key in _VTP_COUNTS}
+    reader: Any = vtkXMLPolyDataReader()
+    reader.ReadFromInputStringOn()
+    reader.SetBinaryInputString(data, len(data))
+    with _quiet_vtk():
+        reader.Update()
+    read = reader.GetOutput()
+    found = dict(
+        zip(_VTP_COUNTS, (read.GetNumberOfPoints(), read.GetNumberOfPolys(), read.GetNumberOfStrips()), strict=True)
+    )
+    if reader.GetErrorCode() or found != stated:
+        raise MeshError(f"{source}: a VTP file that states {_said(stated)}, but VTK reads {_said(found)}; {WAY_OUT}")
+    if found["NumberOfStrips"]:
+        raise MeshError(f"{source}: holds {found['NumberOfStrips']} triangle strips; export it as triangles")
+    if not found["NumberOfPoints"] or not found["NumberOfPolys"]:
+        return Polygons(np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0)
+    ends = vtk_to_numpy(read.GetPolys().GetOffsetsArray()).astype(np.int64)
+    corners = vtk_to_numpy(read.GetPolys().GetConnectivityArray()).astype(np.int64)
+    faces, cut = cut_into_fans(np.diff(ends), corners, source)
+    return Polygons(vtk_to_numpy(read.GetPoints().GetData()).astype(np.float64), faces, cut)
+
+
+_VTP_COUNTS = ("NumberOfPoints", "NumberOfPolys", "NumberOfStrips")
+
+
+def _said(counts: dict[str, int]) -> str:
+    return f"{counts['NumberOfPoints']} points and {counts['NumberOfPolys']} polygons"
+
+
+@contextmanager
+def _quiet_vtk() -> Iterator[None]:
+    """Keep VTK from printing: what it would print is raised instead."""
+    before = vtkObject.GetGlobalWarningDisplay()
+    vtkObject.GlobalWarningDisplayOff()
+    try:
+        yield
+    finally:
+        vtkObject.SetGlobalWarningDisplay(before)
+
+
+def _numbers(words: Any, source: str, *, what: str) -> Float:
+    try:
+        values: Float = words.astype(np.float64)
+    except ValueError as error:
+        raise MeshError(f"{source}: {what} is not a number ({error}); {WAY_OUT}") from error
+    return values
+
+
+def _triangles(polygons: Sequence[Sequence[int]], source: str) -> tuple[Faces, int]:
+    sizes = np.array([len(p) for p in polygons], dtype=np.int64)
+    corners = np.array([i for p in polygons for i in p], dtype=np.int64)
+    return cut_into_fans(sizes, corners, source)
+
+
+def cut_into_fans(sizes: Int, corners: Int, source: str) -> tuple[Faces, int]:
+    """Cut polygons, given by their sizes and their corners one after the other, into fans about their first corners."""
+    if not len(sizes):
+        return np.zeros((0, 3), np.int64), 0
+    if sizes.min() < 3:
+        first = int(np.argmin(sizes))
+        raise MeshError(f"{source}: face {first} (0-based) has {sizes[first]} corners; a face needs 3. {WAY_OUT}")
+    if sizes.max() == 3:
+        return corners.reshape(-1, 3), 0
+    starts = np.cumsum(sizes) - sizes
+    of = np.repeat(np.arange(len(sizes)), sizes - 2)
+    nth = np.arange(len(of)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
+    first_corner = starts[of]
+    faces = np.stack([corners[first_corner], corners[first_corner + nth + 1], corners[first_corner + nth + 2]], axis=1)
+    return faces, int((sizes > 3).sum())

@@ -33,11 +33,13 @@ class BackendKind(StrEnum):
 
 
 class Kernel(StrEnum):
-    """Radial kernel of the displacement field."""
+    """Radial kernel of the displacement field; the isochoric ones give fields that keep volume."""
 
     R = "r"
     R2_LOG_R = "r2logr"
     R3 = "r3"
+    ISOCHORIC_R3 = "isochoric-r3"
+    ISOCHORIC_R5 = "isochoric-r5"
 
 
 class StepKind(StrEnum):

@@ -24,6 +24,7 @@ from musclefit.rig.model import (
     LandmarkDrive,
     Limits,
     Rig,
+    StepKind,
     TetSettings,
 )
 from musclefit.rig.section import Section, suggestion
@@ -78,7 +79,7 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     title = root.text("title")
     anatomy = _anatomy(root.section("anatomy"))
     drive = _drive(root.section("drive"))
-    deformer = _record(DeformerSettings, _optional(root, "deformer"))
+    deformer = _deformer(_optional(root, "deformer"))
     tets = _record(TetSettings, _optional(root, "tets"))
     limits = _record(Limits, _optional(root, "limits"))
     try:
@@ -171,6 +172,15 @@ def _drive(section: Section) -> Drive:
             return _record(JointDrive, section, besides=("kind",))
 
 
+def _deformer(section: Section) -> DeformerSettings:
+    settings = _record(DeformerSettings, section)
+    if settings.step is not StepKind.EXPLICIT and "step_rule" in section:
+        raise section.error(
+            "step_rule", f'has no effect on "{settings.step}" steps, which have a rule of their own; remove it'
+        )
+    return settings
+
+
 def _optional(root: Section, key: str) -> Section:
     return root.section(key) if key in root else Section({}, root.source, key)
 
@@ -234,7 +244,7 @@ def _override_path(dotted: str, *, where: str) -> list[str]:
 def _override_value(text: str, *, where: str) -> Any:
     try:
         read = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with more digits than Python converts
         if not text or text[0] in "\"'[{":
             raise RigError(
                 f"{where}: the value is no TOML: {error}; write a number, true or false, a word, or text in quotes"

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.fields.kernels import KERNELS
 from musclefit.rig.model import (
     AnatomySource,
     CageDrive,
@@ -202,7 +203,7 @@ WRONG = {
     ),
     "unknown kernel": (
         rig_table(deformer__kernel="r4"),
-        "arm.toml: deformer.kernel: found 'r4'; did you mean 'r'\\? known: r, r2logr, r3",
+        "arm.toml: deformer.kernel: found 'r4'; did you mean 'r'\\? known: isochoric-r3, isochoric-r5, r, r2logr, r3",
     ),
     "unknown backend": (
         rig_table(deformer__backend="spline"),
@@ -253,6 +254,10 @@ WRONG = {
     "joints' path": (
         landmark_table() | {"deformer": {"path": "joints"}},
         'arm.toml: deformer.path: found "joints", but no joint drives this rig; write "straight"',
+    ),
+    "rule of Cayley steps": (
+        rig_table(deformer__step="cayley"),
+        'arm.toml: deformer.step_rule: has no effect on "cayley" steps, which have a rule of their own; remove it',
     ),
     "half a cage": (
         landmark_table() | {"drive": {"kind": "cage", "source": "a.ply"}},
@@ -358,6 +363,10 @@ def test_values_of_overrides_are_judged_like_those_of_the_file(override: str, me
 def test_an_override_inside_what_is_no_table_is_named() -> None:
     with pytest.raises(RigError, match=r"^arm.toml: --set drive.pose.elbow_deg=3: pose is not a table in the file"):
         apply_overrides(rig_table(drive__pose=4), ["drive.pose.elbow_deg=3"], source="arm.toml")
+
+
+def test_every_kernel_of_a_rig_is_one_that_fields_can_build_without_a_length() -> None:
+    assert all(kernel.value in KERNELS and not KERNELS[kernel.value].scaled for kernel in Kernel)
 
 
 def test_known_keys_are_the_fields_of_the_records() -> None:

@@ -53,6 +53,11 @@ class Deformation:
     records: tuple[StepRecord, ...]
     status: Status
 
+    @property
+    def margin(self) -> float:
+        """Smallest margin of its steps; 1 where there is none."""
+        return min((record.margin for record in self.records), default=1.0)
+
     def __call__(self, points: Points) -> Points:
         """Where the map takes (N, n) points, mm."""
         moved = np.array(points, dtype=np.float64)

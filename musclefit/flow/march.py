@@ -22,6 +22,9 @@ SHORTEST_REACH = 1e-6
 RETRY_SHARE = 0.9
 """A rejected step is tried again at this share of what the rule left of it (and at most at half)."""
 
+BESIDE = 1e-6
+"""How far from a handle its one-sided gradients are taken, as a fraction of the handles' extent."""
+
 Stepper = Callable[[Backend, Points, Points], Step]
 
 
@@ -100,10 +103,30 @@ def march(
     return Deformation(tuple(steps), tuple(records), status)
 
 
-def one_shot(path: Path, backend: Backend) -> Deformation:
-    """The baseline: one explicit step from rest to the destination, held to no rule."""
+def one_shot(path: Path, backend: Backend, *, rule: Rule, tested: Points) -> Deformation:
+    """The baseline: one explicit step from rest to the destination; its margin is recorded, and nothing follows."""
     step = explicit_step(backend, path.position(0.0), path.position(1.0))
-    return Deformation((step,), (), Status.ONE_SHOT)
+    fractions = rule(step.field.gradient(tested))
+    worst = int(np.argmin(fractions))
+    place = tuple(float(x) for x in tested[worst])
+    return Deformation((step,), (StepRecord(0.0, 1.0, 1.0 - 1.0 / float(fractions[worst]), place),), Status.ONE_SHOT)
+
+
+def points_beside(handles: Points) -> Points:
+    """Points close beside each handle along every axis, for kernels that have no gradient at their centre.
+
+    Parameters
+    ----------
+    handles : (m, n) float64, mm
+
+    Returns
+    -------
+    (2 n m, n) float64, mm
+    """
+    offset = BESIDE * float(np.ptp(handles, axis=0).max() or 1.0)
+    n = handles.shape[1]
+    directions = offset * np.vstack([np.eye(n), -np.eye(n)])
+    return (handles[:, None, :] + directions).reshape(-1, n)
 
 
 def _safe_step(

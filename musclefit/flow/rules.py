@@ -66,8 +66,7 @@ EXPLICIT_RULES: Mapping[StepRule, Rule] = MappingProxyType(
 
 def _symmetric_eigenvalues(gradients: Gradients) -> Float:
     """(N, n) eigenvalues of the symmetric parts, ascending."""
-    values: Float = np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1)))
-    return values
+    return np.asarray(np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1))), dtype=np.float64)
 
 
 def _reciprocal(limit: Float) -> Float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from musclefit.errors import NotConvergedError
 from musclefit.fields.protocol import Field
-from musclefit.geometry.arrays import Float, Gradients, Points
+from musclefit.geometry.arrays import Gradients, Points
 
 NEWTON_TOLERANCE_MM = 1e-11
 """An implicit step is solved when its equation holds to this, relative to coordinates of up to a metre."""
@@ -96,7 +96,7 @@ class InverseStep:
 
     def jacobian(self, points: Points) -> Gradients:
         """The inverse of I + grad D at the points found."""
-        return np.linalg.inv(self.of.jacobian(self(points)))
+        return np.asarray(np.linalg.inv(self.of.jacobian(self(points))), dtype=np.float64)
 
     def trial(self, points: Points) -> Trial:
         """Moved points, and the gradients there."""
@@ -148,8 +148,7 @@ def _cayley(gradients: Gradients) -> Gradients:
     half = 0.5 * gradients
     eye = np.eye(gradients.shape[-1])
     # (I + H)(I - H)^-1 = (I - H)^-1 (I + H): they commute
-    product: Gradients = np.linalg.solve(eye - half, eye + half)
-    return product
+    return np.asarray(np.linalg.solve(eye - half, eye + half), dtype=np.float64)
 
 
 def _newton(field: Field, targets: Points, *, factor: float) -> Points:
@@ -166,7 +165,7 @@ def _newton(field: Field, targets: Points, *, factor: float) -> Points:
         size = np.abs(residual).max(axis=1)
         damping[open_points] = np.where(size > last[open_points], 0.5 * damping[open_points], 1.0)
         last[open_points] = size
-        update: Float = np.linalg.solve(np.eye(n) + factor * gradients, residual[..., None])[..., 0]
+        update = np.linalg.solve(np.eye(n) + factor * gradients, residual[..., None])[..., 0]
         solution[open_points] -= damping[open_points, None] * update
         # The update just made squares the residual: what was below the root of the tolerance is now below it.
         done = size**2 <= tolerance * 1e-3

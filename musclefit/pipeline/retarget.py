@@ -1,0 +1,166 @@
+"""One run in order: march, move every tissue, check, compare with the baseline; a job in, records out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.flow.deformation import Deformation, Status
+from musclefit.geometry.arrays import Points
+from musclefit.geometry.rigid import RigidMotion
+from musclefit.pipeline.deformers import deform, deform_in_one_shot, method_in_words, rule_in_words
+from musclefit.progress import Progress, Silent
+from musclefit.report.model import CONVERGED, Report, Side
+from musclefit.rig.job import Job
+from musclefit.validate.landmarks import check_landmarks
+from musclefit.validate.maps import check_map
+from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
+from musclefit.validate.tets import check_tets
+from musclefit.validate.tissues import check_tissues
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Outcome:
+    """What one method made of the anatomy, and what was measured of it.
+
+    Parameters
+    ----------
+    deformation : Deformation
+    deformed : Anatomy
+    tet_vertices : (n, 3) float64, mm, or None
+        Of the tet mesh, moved; None where there is none.
+    side : Side
+    """
+
+    deformation: Deformation
+    deformed: Anatomy
+    tet_vertices: Points | None
+    side: Side
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Retargeting:
+    """One finished run.
+
+    Parameters
+    ----------
+    job : Job
+    tets : TetAnatomy or None
+        At rest.
+    result, baseline : Outcome
+        The job's method, and the same handles in one shot.
+    findings : tuple of Finding
+        Of the input.
+    """
+
+    job: Job
+    tets: TetAnatomy | None
+    result: Outcome
+    baseline: Outcome
+    findings: tuple[Finding, ...]
+
+    @property
+    def report(self) -> Report:
+        """The run summed up; timings, memory and versions are known only to who runs it."""
+        return Report(
+            title=self.job.rig.title,
+            result=self.result.side,
+            baseline=self.baseline.side,
+            findings=self.findings,
+            limits=self.job.rig.limits,
+            timings_s={},
+            peak_memory_mb=float("nan"),
+            provenance={"input_sha256": dict(self.job.hashes), "settings": settings_of(self.job)},
+        )
+
+
+def settings_of(job: Job) -> Mapping[str, Any]:
+    """Every setting of the run, as plain values."""
+    return {"rig": job.name, "overrides": list(job.overrides), **asdict(job.rig)}
+
+
+def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = None) -> Retargeting:
+    """Run a job: deform by its method and in one shot, and check both.
+
+    Parameters
+    ----------
+    job : Job
+    tets : TetAnatomy or None
+        The anatomy's tetrahedra, or None to leave the mesh checks out.
+
+    Returns
+    -------
+    Retargeting
+        Whatever the march's status is: a run that ended early is reported, not raised.
+
+    Raises
+    ------
+    InputError
+        The handles cannot drive a field.
+    """
+    progress = progress or Silent()
+    solids = solid_anatomy(job.anatomy, progress=progress)
+    points = job.anatomy.vertices()
+    result = deform(job, points, progress=progress)
+    baseline = deform_in_one_shot(job, points)
+    settings = job.rig.deformer
+    rule = rule_in_words(settings)
+    finish = _Finisher(job, solids, tets, progress)
+    return Retargeting(
+        job=job,
+        tets=tets,
+        result=finish(result, method=method_in_words(settings), rule=rule, stage="check result"),
+        baseline=finish(
+            baseline, method=f"one-shot RBF, kernel {settings.kernel.value}", rule=rule, stage="check baseline"
+        ),
+        findings=(*job.findings, *(tets.findings if tets is not None else ())),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Finisher:
+    """Moves the tissues by a deformation and measures everything the report needs."""
+
+    job: Job
+    rest: SolidAnatomy
+    tets: TetAnatomy | None
+    progress: Progress
+
+    def __call__(self, deformation: Deformation, *, method: str, rule: str, stage: str) -> Outcome:
+        job, anatomy = self.job, self.job.anatomy
+        with self.progress.stage(stage) as tick:
+            points = anatomy.vertices()
+            deformed = anatomy.with_vertices(deformation(points))
+            tet_vertices = None if self.tets is None else deformation(self.tets.mesh.vertices)
+            tick(0.3)
+            map_check = check_map(deformation.jacobian, points, rule=rule, margin=deformation.margin)
+            landmarks = check_landmarks(
+                job.handles.names, arrived=deformation(job.handles.source), targets=job.path.position(1.0)
+            )
+            tick(0.5)
+            after = solid_anatomy(deformed, progress=Silent())
+            outside = check_outside_skin(self.rest, after, mapped=deformation, progress=Silent())
+            tick(0.7)
+            overlaps = check_overlaps(self.rest, after, mapped=deformation, progress=Silent())
+            tick(0.9)
+            side = Side(
+                method=method,
+                status=CONVERGED if deformation.status is Status.CONVERGED else deformation.status.value,
+                steps=len(deformation.steps),
+                landmarks=landmarks,
+                map=map_check,
+                mesh=None if self.tets is None or tet_vertices is None else check_tets(self.tets, tet_vertices),
+                tissues=check_tissues(anatomy, deformed, motions=_final_motions(job), outside=outside),
+                overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
+            )
+            tick(1.0)
+        return Outcome(deformation, deformed, tet_vertices, side)
+
+
+def _final_motions(job: Job) -> Mapping[str, RigidMotion]:
+    """Where the joints take the bones of the anatomy; nothing where no joint drives."""
+    return {} if job.motions is None else job.motions.at(1.0)

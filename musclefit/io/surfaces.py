@@ -15,6 +15,7 @@ from musclefit.anatomy.intake import require_plausible_size, take_in
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, frozen
+from musclefit.geometry.meshes import TriMesh
 from musclefit.io.mesh_formats import Polygons, read_obj, read_stl, read_vtp
 from musclefit.io.ply import read_ply
 from musclefit.progress import Progress, Silent
@@ -58,6 +59,10 @@ class RawSurface:
     faces: Faces
     sha256: str
     findings: tuple[Finding, ...]
+
+    def mesh(self) -> TriMesh:
+        """The surface as a mesh; MeshError where a face uses a vertex that is not there, or one is not finite."""
+        return TriMesh(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -126,8 +131,8 @@ def read_anatomy(
     kinds : sequence of (pattern, TissueKind)
         Kinds by tissue name (a file's name without its ending) or shell-style pattern, ahead of what names say; the
         first pattern that fits counts. Without one the kind comes from the start of the file name (``bone_``,
-        ``muscle_``, ``skin``, ``other_``), else from the folder's name (``bones``), else from such a word anywhere in the file name;
-        where nothing says it, the tissue is of kind other, with a finding.
+        ``muscle_``, ``skin``, ``other_``), else from the folder's name (``bones``), else from such a word anywhere in
+        the file name; where nothing says it, the tissue is of kind other, with a finding.
     frame : str
         The coordinate frame in words.
     progress : Progress

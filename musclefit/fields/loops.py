@@ -1,8 +1,9 @@
 """Fused, threaded sums over all pairs of point and centre, for every kernel.
 
-Points are (N, 3) and centres (3, m); a plane is embedded in space by a zero third coordinate. A row of distances is
-turned into a row of kernel values by ``_scalar_profile`` or ``_isochoric_profile``; everything else does not know the
-kernel. Sums are reassociated for speed; certificates use their own loops, which are not.
+Points are (N, 3) and centres (3, m); a plane is embedded in space by a zero third coordinate. Sources are sorted into
+cells as wide as the support of a compact kernel, so that a point sees its own 27 only; other kernels have one cell. A
+row of distances is turned into a row of kernel values by ``_scalar_profile`` or ``_isochoric_profile``; everything else
+does not know the kernel. Sums are reassociated for speed; certificates use their own loops, which are not.
 """
 
 from __future__ import annotations
@@ -107,157 +108,192 @@ def _isochoric_profile(kernel, scale, r2, f, slope, g, g_slope):
             g_slope[j] = -22176.0 * s2 * s2 * u5
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def scalar_sum(kernel, scale, points, centres, weights, out):
-    """Add sum_j phi(|x_i - c_j|) w_j to ``out`` (N, 3); weights are (3, m)."""
-    n, m = points.shape[0], centres.shape[1]
-    for block in prange((n + BLOCK - 1) // BLOCK):
-        r2, f, slope = np.empty(ROW), np.empty(ROW), np.empty(ROW)
-        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            u, v, w = 0.0, 0.0, 0.0
-            for start in range(0, m, ROW):
-                length = min(ROW, m - start)
-                for j in range(length):
-                    dx, dy, dz = x - centres[0, start + j], y - centres[1, start + j], z - centres[2, start + j]
-                    r2[j] = dx * dx + dy * dy + dz * dz
-                _scalar_profile(kernel, scale, r2[:length], f, slope)
-                for j in range(length):
-                    u += f[j] * weights[0, start + j]
-                    v += f[j] * weights[1, start + j]
-                    w += f[j] * weights[2, start + j]
-            out[i, 0] += u
-            out[i, 1] += v
-            out[i, 2] += w
+@njit(fastmath=FAST, cache=True)
+def _scalar_row(kernel, scale, where, centres, weights, start, stop, rows, total):
+    """Add the sources start..stop to total = (value 3)."""
+    x, y, z = where
+    r2, f, slope = rows[0], rows[1], rows[2]
+    u, v, w = 0.0, 0.0, 0.0
+    for j in range(start, stop):
+        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
+        r2[j - start] = dx * dx + dy * dy + dz * dz
+    _scalar_profile(kernel, scale, r2[: stop - start], f, slope)
+    for j in range(start, stop):
+        u += f[j - start] * weights[0, j]
+        v += f[j - start] * weights[1, j]
+        w += f[j - start] * weights[2, j]
+    total[0] += u
+    total[1] += v
+    total[2] += w
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def scalar_sum_with_gradient(kernel, scale, points, centres, weights, out, gradients):
-    """Add the sum and its gradient to ``out`` (N, 3) and ``gradients`` (N, 3, 3)."""
-    n, m = points.shape[0], centres.shape[1]
-    for block in prange((n + BLOCK - 1) // BLOCK):
-        r2, f, slope = np.empty(ROW), np.empty(ROW), np.empty(ROW)
-        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            u, v, w = 0.0, 0.0, 0.0
-            ux, uy, uz, vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for start in range(0, m, ROW):
-                length = min(ROW, m - start)
-                for j in range(length):
-                    dx, dy, dz = x - centres[0, start + j], y - centres[1, start + j], z - centres[2, start + j]
-                    r2[j] = dx * dx + dy * dy + dz * dz
-                _scalar_profile(kernel, scale, r2[:length], f, slope)
-                for j in range(length):
-                    k = start + j
-                    a, b, c = weights[0, k], weights[1, k], weights[2, k]
-                    dx, dy, dz = x - centres[0, k], y - centres[1, k], z - centres[2, k]
-                    u += f[j] * a
-                    v += f[j] * b
-                    w += f[j] * c
-                    dx *= slope[j]
-                    dy *= slope[j]
-                    dz *= slope[j]
-                    ux += a * dx
-                    uy += a * dy
-                    uz += a * dz
-                    vx += b * dx
-                    vy += b * dy
-                    vz += b * dz
-                    wx += c * dx
-                    wy += c * dy
-                    wz += c * dz
-            out[i, 0] += u
-            out[i, 1] += v
-            out[i, 2] += w
-            _add_matrix(gradients[i], ux, uy, uz, vx, vy, vz, wx, wy, wz)
+@njit(fastmath=FAST, cache=True)
+def _scalar_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total):
+    """Add the sources start..stop to total = (value 3, gradient 9)."""
+    x, y, z = where
+    r2, f, slope = rows[0], rows[1], rows[2]
+    u, v, w = 0.0, 0.0, 0.0
+    ux, uy, uz, vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(start, stop):
+        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
+        r2[j - start] = dx * dx + dy * dy + dz * dz
+    _scalar_profile(kernel, scale, r2[: stop - start], f, slope)
+    for j in range(start, stop):
+        value, steep = f[j - start], slope[j - start]
+        a, b, c = weights[0, j], weights[1, j], weights[2, j]
+        u += value * a
+        v += value * b
+        w += value * c
+        dx, dy, dz = steep * (x - centres[0, j]), steep * (y - centres[1, j]), steep * (z - centres[2, j])
+        ux += a * dx
+        uy += a * dy
+        uz += a * dz
+        vx += b * dx
+        vy += b * dy
+        vz += b * dz
+        wx += c * dx
+        wy += c * dy
+        wz += c * dz
+    _add_all(total, u, v, w, ux, uy, uz, vx, vy, vz, wx, wy, wz)
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def isochoric_sum(kernel, scale, points, centres, weights, out):
-    """Add sum_j K(x_i - c_j) w_j to ``out`` (N, 3); weights are (3, m)."""
-    n, m = points.shape[0], centres.shape[1]
-    for block in prange((n + BLOCK - 1) // BLOCK):
-        r2, f, slope, g, g_slope = np.empty(ROW), np.empty(ROW), np.empty(ROW), np.empty(ROW), np.empty(ROW)
-        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            u, v, w = 0.0, 0.0, 0.0
-            for start in range(0, m, ROW):
-                length = min(ROW, m - start)
-                for j in range(length):
-                    dx, dy, dz = x - centres[0, start + j], y - centres[1, start + j], z - centres[2, start + j]
-                    r2[j] = dx * dx + dy * dy + dz * dz
-                _isochoric_profile(kernel, scale, r2[:length], f, slope, g, g_slope)
-                for j in range(length):
-                    k = start + j
-                    dx, dy, dz = x - centres[0, k], y - centres[1, k], z - centres[2, k]
-                    a, b, c = weights[0, k], weights[1, k], weights[2, k]
-                    along = g[j] * (dx * a + dy * b + dz * c)
-                    u += f[j] * a + along * dx
-                    v += f[j] * b + along * dy
-                    w += f[j] * c + along * dz
-            out[i, 0] += u
-            out[i, 1] += v
-            out[i, 2] += w
+@njit(fastmath=FAST, cache=True)
+def _isochoric_row(kernel, scale, where, centres, weights, start, stop, rows, total):
+    """Add the sources start..stop to total = (value 3)."""
+    x, y, z = where
+    r2, f, slope, g, g_slope = rows[0], rows[1], rows[2], rows[3], rows[4]
+    u, v, w = 0.0, 0.0, 0.0
+    for j in range(start, stop):
+        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
+        r2[j - start] = dx * dx + dy * dy + dz * dz
+    _isochoric_profile(kernel, scale, r2[: stop - start], f, slope, g, g_slope)
+    for j in range(start, stop):
+        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
+        a, b, c = weights[0, j], weights[1, j], weights[2, j]
+        along = g[j - start] * (dx * a + dy * b + dz * c)
+        u += f[j - start] * a + along * dx
+        v += f[j - start] * b + along * dy
+        w += f[j - start] * c + along * dz
+    total[0] += u
+    total[1] += v
+    total[2] += w
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def isochoric_sum_with_gradient(kernel, scale, points, centres, weights, out, gradients):
-    """Add the sum and its gradient to ``out`` (N, 3) and ``gradients`` (N, 3, 3).
+@njit(fastmath=FAST, cache=True)
+def _isochoric_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total):
+    """Add the sources start..stop to total = (value 3, gradient 9).
 
-    d_k D_i = (a'/r) w_i x_k + (b'/r) (x.w) x_i x_k + b (w_k x_i + (x.w) delta_ik) for each centre.
+    d_k D_i = (a'/r) w_i x_k + (b'/r) (x.w) x_i x_k + b (w_k x_i + (x.w) delta_ik) for each source.
     """
-    n, m = points.shape[0], centres.shape[1]
-    for block in prange((n + BLOCK - 1) // BLOCK):
-        r2, f, slope, g, g_slope = np.empty(ROW), np.empty(ROW), np.empty(ROW), np.empty(ROW), np.empty(ROW)
-        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            u, v, w, diagonal = 0.0, 0.0, 0.0, 0.0
-            ux, uy, uz, vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for start in range(0, m, ROW):
-                length = min(ROW, m - start)
-                for j in range(length):
-                    dx, dy, dz = x - centres[0, start + j], y - centres[1, start + j], z - centres[2, start + j]
-                    r2[j] = dx * dx + dy * dy + dz * dz
-                _isochoric_profile(kernel, scale, r2[:length], f, slope, g, g_slope)
-                for j in range(length):
-                    k = start + j
-                    dx, dy, dz = x - centres[0, k], y - centres[1, k], z - centres[2, k]
-                    a, b, c = weights[0, k], weights[1, k], weights[2, k]
-                    dot = dx * a + dy * b + dz * c
-                    along = g[j] * dot
-                    u += f[j] * a + along * dx
-                    v += f[j] * b + along * dy
-                    w += f[j] * c + along * dz
-                    diagonal += along
-                    curl = g_slope[j] * dot
-                    ax, ay, az = slope[j] * a + curl * dx, slope[j] * b + curl * dy, slope[j] * c + curl * dz
-                    gx, gy, gz = g[j] * dx, g[j] * dy, g[j] * dz
-                    ux += ax * dx + gx * a
-                    uy += ax * dy + gx * b
-                    uz += ax * dz + gx * c
-                    vx += ay * dx + gy * a
-                    vy += ay * dy + gy * b
-                    vz += ay * dz + gy * c
-                    wx += az * dx + gz * a
-                    wy += az * dy + gz * b
-                    wz += az * dz + gz * c
-            out[i, 0] += u
-            out[i, 1] += v
-            out[i, 2] += w
-            _add_matrix(gradients[i], ux + diagonal, uy, uz, vx, vy + diagonal, vz, wx, wy, wz + diagonal)
+    x, y, z = where
+    r2, f, slope, g, g_slope = rows[0], rows[1], rows[2], rows[3], rows[4]
+    u, v, w, diagonal = 0.0, 0.0, 0.0, 0.0
+    ux, uy, uz, vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(start, stop):
+        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
+        r2[j - start] = dx * dx + dy * dy + dz * dz
+    _isochoric_profile(kernel, scale, r2[: stop - start], f, slope, g, g_slope)
+    for j in range(start, stop):
+        k = j - start
+        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
+        a, b, c = weights[0, j], weights[1, j], weights[2, j]
+        dot = dx * a + dy * b + dz * c
+        along = g[k] * dot
+        u += f[k] * a + along * dx
+        v += f[k] * b + along * dy
+        w += f[k] * c + along * dz
+        diagonal += along
+        curl = g_slope[k] * dot
+        ax, ay, az = slope[k] * a + curl * dx, slope[k] * b + curl * dy, slope[k] * c + curl * dz
+        gx, gy, gz = g[k] * dx, g[k] * dy, g[k] * dz
+        ux += ax * dx + gx * a
+        uy += ax * dy + gx * b
+        uz += ax * dz + gx * c
+        vx += ay * dx + gy * a
+        vy += ay * dy + gy * b
+        vz += ay * dz + gy * c
+        wx += az * dx + gz * a
+        wy += az * dy + gz * b
+        wz += az * dz + gz * c
+    _add_all(total, u, v, w, ux + diagonal, uy, uz, vx, vy + diagonal, vz, wx, wy, wz + diagonal)
 
 
 @njit(inline="always")
-def _add_matrix(matrix, ux, uy, uz, vx, vy, vz, wx, wy, wz):
-    matrix[0, 0] += ux
-    matrix[0, 1] += uy
-    matrix[0, 2] += uz
-    matrix[1, 0] += vx
-    matrix[1, 1] += vy
-    matrix[1, 2] += vz
-    matrix[2, 0] += wx
-    matrix[2, 1] += wy
-    matrix[2, 2] += wz
+def _add_all(total, u, v, w, ux, uy, uz, vx, vy, vz, wx, wy, wz):
+    total[0] += u
+    total[1] += v
+    total[2] += w
+    total[3] += ux
+    total[4] += uy
+    total[5] += uz
+    total[6] += vx
+    total[7] += vy
+    total[8] += vz
+    total[9] += wx
+    total[10] += wy
+    total[11] += wz
+
+
+@njit(inline="always")
+def _runs(x, y, z, low, width, counts, starts, runs):
+    """Write the runs of sources in the 27 cells around a point to ``runs``; gives how many."""
+    i, j = int(np.floor((x - low[0]) / width)), int(np.floor((y - low[1]) / width))
+    k = int(np.floor((z - low[2]) / width))
+    first, last = max(k - 1, 0), min(k + 1, counts[2] - 1)
+    found = 0
+    if first <= last:
+        for p in range(max(i - 1, 0), min(i + 2, counts[0])):
+            for q in range(max(j - 1, 0), min(j + 2, counts[1])):
+                cell = (p * counts[1] + q) * counts[2]
+                start, stop = starts[cell + first], starts[cell + last + 1]
+                if start < stop:
+                    runs[found, 0], runs[found, 1] = start, stop
+                    found += 1
+    return found
+
+
+@njit(parallel=True, fastmath=FAST, cache=True)
+def radial_sum(kernel, isochoric, scale, points, centres, weights, low, width, counts, starts, out):
+    """Add sum_j K(x_i - c_j) w_j to ``out`` (N, 3); centres and weights are (3, m), in the order of their cells."""
+    n = points.shape[0]
+    for block in prange((n + BLOCK - 1) // BLOCK):
+        rows, runs, total = np.empty((5, ROW)), np.empty((9, 2), np.int64), np.empty(3)
+        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
+            where = (points[i, 0], points[i, 1], points[i, 2])
+            total[:] = 0.0
+            for run in range(_runs(where[0], where[1], where[2], low, width, counts, starts, runs)):
+                for start in range(runs[run, 0], runs[run, 1], ROW):
+                    stop = min(start + ROW, runs[run, 1])
+                    if isochoric:
+                        _isochoric_row(kernel, scale, where, centres, weights, start, stop, rows, total)
+                    else:
+                        _scalar_row(kernel, scale, where, centres, weights, start, stop, rows, total)
+            for k in range(3):
+                out[i, k] += total[k]
+
+
+@njit(parallel=True, fastmath=FAST, cache=True)
+def radial_sum_with_gradient(
+    kernel, isochoric, scale, points, centres, weights, low, width, counts, starts, out, gradients
+):
+    """Add the sum and its gradient to ``out`` (N, 3) and ``gradients`` (N, 3, 3)."""
+    n = points.shape[0]
+    for block in prange((n + BLOCK - 1) // BLOCK):
+        rows, runs, total = np.empty((5, ROW)), np.empty((9, 2), np.int64), np.empty(12)
+        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
+            where = (points[i, 0], points[i, 1], points[i, 2])
+            total[:] = 0.0
+            for run in range(_runs(where[0], where[1], where[2], low, width, counts, starts, runs)):
+                for start in range(runs[run, 0], runs[run, 1], ROW):
+                    stop = min(start + ROW, runs[run, 1])
+                    if isochoric:
+                        _isochoric_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total)
+                    else:
+                        _scalar_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total)
+            for k in range(3):
+                out[i, k] += total[k]
+                for q in range(3):
+                    gradients[i, k, q] += total[3 + 3 * k + q]
 
 
 @njit(parallel=True, fastmath=FAST, cache=True)

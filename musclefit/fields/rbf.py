@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from musclefit.errors import FieldError
 from musclefit.fields import loops
+from musclefit.fields.cells import Cells
 from musclefit.fields.kernels import KERNELS, RadialKernel
 from musclefit.fields.solve import SaddleFactor
 from musclefit.geometry.arrays import Float, Gradients, Points, frozen
@@ -55,9 +56,7 @@ class RadialField:
         """(N, n) displacements at (N, n) points, mm."""
         where = self._padded(points)
         values = np.zeros_like(where)
-        kernel = KERNELS[self.kernel]
-        add_sum = loops.isochoric_sum if kernel.isochoric else loops.scalar_sum
-        add_sum(kernel.code, self.scale, where, *self._sources(), values)
+        loops.radial_sum(*self._sum_of(where), values)
         return self._polynomial(points) + values[:, : points.shape[1]]
 
     def gradient(self, points: Points) -> Gradients:
@@ -69,9 +68,7 @@ class RadialField:
         n = points.shape[1]
         where = self._padded(points)
         values, gradients = np.zeros_like(where), np.zeros((len(where), 3, 3))
-        kernel = KERNELS[self.kernel]
-        add_sum = loops.isochoric_sum_with_gradient if kernel.isochoric else loops.scalar_sum_with_gradient
-        add_sum(kernel.code, self.scale, where, *self._sources(), values, gradients)
+        loops.radial_sum_with_gradient(*self._sum_of(where), values, gradients)
         return self._polynomial(points) + values[:, :n], self.linear + gradients[:, :n, :n]
 
     def scaled(self, factor: float) -> Self:
@@ -87,10 +84,22 @@ class RadialField:
         moved: Points = self.translation + (points - self.origin) @ self.linear.T
         return moved
 
-    def _sources(self) -> tuple[Float, Float]:
+    def _sum_of(self, where: Points) -> tuple[Any, ...]:
+        """The arguments of a loop over points already local to the origin."""
+        kernel = KERNELS[self.kernel]
+        local = _in_space(self.centres - self.origin)
+        cells = Cells.of(local, width=self.scale) if kernel.compact else Cells.single(len(local))
         return (
-            np.ascontiguousarray(_in_space(self.centres - self.origin).T),
-            np.ascontiguousarray(_in_space(self.weights).T),
+            kernel.code,
+            kernel.isochoric,
+            self.scale,
+            where,
+            np.ascontiguousarray(local[cells.order].T),
+            np.ascontiguousarray(_in_space(self.weights)[cells.order].T),
+            cells.low,
+            cells.width,
+            cells.counts,
+            cells.starts,
         )
 
     def _padded(self, points: Points) -> Points:

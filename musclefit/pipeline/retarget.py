@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.geometry.arrays import Points
+from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.deformers import deform, deform_in_one_shot, method_in_words, rule_in_words
 from musclefit.progress import Progress, Silent
@@ -31,6 +33,8 @@ class Outcome:
     ----------
     deformation : Deformation
     deformed : Anatomy
+    determinants : (N,) float64
+        Of the map's Jacobian at the vertices of the anatomy at rest, in the order of ``Anatomy.vertices``.
     tet_vertices : (n, 3) float64, mm, or None
         Of the tet mesh, moved; None where there is none.
     side : Side
@@ -38,6 +42,7 @@ class Outcome:
 
     deformation: Deformation
     deformed: Anatomy
+    determinants: Float
     tet_vertices: Points | None
     side: Side
 
@@ -137,7 +142,8 @@ class _Finisher:
             deformed = anatomy.with_vertices(deformation(points))
             tet_vertices = None if self.tets is None else deformation(self.tets.mesh.vertices)
             tick(0.3)
-            map_check = check_map(deformation.jacobian, points, rule=rule, margin=deformation.margin)
+            determinants = np.linalg.det(deformation.jacobian(points))
+            map_check = check_map(determinants, points=points, rule=rule, margin=deformation.margin)
             landmarks = check_landmarks(
                 job.handles.names, arrived=deformation(job.handles.source), targets=job.path.position(1.0)
             )
@@ -158,7 +164,7 @@ class _Finisher:
                 overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
             )
             tick(1.0)
-        return Outcome(deformation, deformed, tet_vertices, side)
+        return Outcome(deformation, deformed, determinants, tet_vertices, side)
 
 
 def _final_motions(job: Job) -> Mapping[str, RigidMotion]:

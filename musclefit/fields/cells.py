@@ -1,0 +1,50 @@
+"""Sources sorted into cells as wide as a kernel's support; what a compact sum looks its neighbours up in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from musclefit.geometry.arrays import Float, Int, Points
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cells:
+    """Sources by cell.
+
+    Parameters
+    ----------
+    low : (3,) float64, mm
+        Corner of the first cell.
+    width : float, mm
+        Edge of a cell; infinite when there is only one.
+    counts : (3,) int64
+        Cells along each axis; the last runs fastest.
+    starts : (cells + 1,) int64
+        Where each cell's sources start in ``order``.
+    order : (m,) int64
+        The sources, cell by cell.
+    """
+
+    low: Float
+    width: float
+    counts: Int
+    starts: Int
+    order: Int
+
+    @classmethod
+    def of(cls, sources: Points, *, width: float) -> Self:
+        """Sort (m, 3) sources, mm, into cells of a width, mm."""
+        low = sources.min(axis=0)
+        cell = np.floor((sources - low) / width).astype(np.int64)
+        counts = cell.max(axis=0) + 1
+        flat = np.ravel_multi_index(tuple(cell.T), tuple(counts))
+        starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=int(counts.prod())))])
+        return cls(low, width, counts, starts.astype(np.int64), np.argsort(flat, kind="stable"))
+
+    @classmethod
+    def single(cls, count: int) -> Self:
+        """All of ``count`` sources in one cell that covers space."""
+        return cls(np.zeros(3), np.inf, np.ones(3, np.int64), np.array([0, count]), np.arange(count))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from hashlib import sha256
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import musclefit
@@ -16,6 +16,7 @@ from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.landmarks import LandmarkTable, paired, read_landmarks
+from musclefit.io.named_files import NamedFiles
 from musclefit.io.surfaces import read_anatomy, read_surface
 from musclefit.io.tables import parse_table, parse_toml
 from musclefit.progress import Progress, Silent
@@ -36,14 +37,7 @@ from musclefit.rig.section import suggestion
 from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table import apply_overrides, parse_rig
 
-DATA_VARIABLE = "MUSCLEFIT_DATA"
-"""The environment variable that `${MUSCLEFIT_DATA}` in a rig file stands for."""
-
-DATA_DEFAULT = "../../shared/data"
-"""Where the data folder is looked for when the variable is not set, from the rig's folder."""
-
 _SILENT = Silent()
-_PLACEHOLDER = "${" + DATA_VARIABLE + "}"
 
 
 def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progress = _SILENT) -> Job:
@@ -55,7 +49,7 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
     ----------
     path : path of a TOML file
         See `find_rig` for rigs by name. Relative paths in it start at its folder, those of ``overrides`` too;
-        ``${MUSCLEFIT_DATA}`` stands for that environment variable, or where it is not set for ``../../shared/data``
+        ``${MUSCLEFIT_DATA}`` stands for that environment variable, or files it is not set for ``../../shared/data``
         from the rig's folder.
     overrides : sequence of str
         ``key=value`` each; see `musclefit.rig.table.apply_overrides`.
@@ -76,21 +70,20 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
         Landmarks, cages or surfaces that cannot be used.
     """
     rig_path = Path(path)
-    where = _Where(rig_path)
-    table = parse_toml(where.read(rig_path, key=""), source=str(rig_path))
+    files = NamedFiles(rig_path)
+    table = parse_toml(files.read(rig_path, key=""), source=str(rig_path))
     if overrides:
         table = apply_overrides(table, overrides, source=str(rig_path))
-    rig = _resolved(parse_rig(table, source=str(rig_path)), where)
-    driver = _read_driver(rig, where)
-    anatomy, findings = _read_anatomy(rig, where, progress=progress)
+    rig = _resolved(parse_rig(table, source=str(rig_path)), files)
+    driver = _read_driver(rig, files)
+    anatomy, findings = _read_anatomy(rig, files, progress=progress)
     motions = None
     if isinstance(driver, _OnBones):
         motions = driver.motions
-        _require_bones(anatomy, driver, where)
+        _require_bones(anatomy, driver, files)
         findings += joint_findings(anatomy, motions.joints, subject=rig_path.name)
-    else:
-        findings += driver.findings
-    handles, handle_path = _driven(rig, anatomy, driver=driver, where=where)
+    findings += (*driver.findings, *_frame_findings(anatomy, driver.frame, files))
+    handles, handle_path = _driven(rig, anatomy, driver=driver, files=files)
     return Job(
         rig=rig,
         anatomy=anatomy,
@@ -98,7 +91,7 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
         handles=handles,
         path=handle_path,
         motions=motions,
-        hashes=where.hashes,
+        hashes=files.hashes,
         name=rig_path.stem,
         source=str(rig_path),
         joints=motions.joints if motions else None,
@@ -148,109 +141,35 @@ def find_rig(name_or_path: str | Path) -> Path:
     return path
 
 
-def resolve_data(text: str, *, folder: Path, source: str, key: str) -> Path:
-    """The absolute path that a rig file means by ``text``.
-
-    Parameters
-    ----------
-    text : str
-        As written; relative paths start at ``folder``. ``${MUSCLEFIT_DATA}`` at its start stands for the environment
-        variable of that name, or ``../../shared/data`` from ``folder``; nothing else is expanded.
-    folder : Path
-        The rig's.
-    source, key : str
-        The rig file and the dotted key, for messages.
-
-    Raises
-    ------
-    RigError
-        Nothing is there (a last part with one of ``*?[`` is a pattern, and left to who reads it), or the text holds another variable.
-    """
-    expanded = text
-    hint = "correct the path; relative ones start at the rig's folder"
-    if text.startswith(_PLACEHOLDER):
-        value = os.environ.get(DATA_VARIABLE, "")
-        data = Path(value).absolute() if value else folder.absolute() / DATA_DEFAULT
-        said = "is set to" if value else "is not set, so the data folder is looked for in"
-        if not data.is_dir():
-            raise RigError(
-                f"{source}: {key}: no data folder: the environment variable {DATA_VARIABLE} {said} "
-                f"{os.path.normpath(data)}, which is no folder; set {DATA_VARIABLE} to the folder of the data"
-            )
-        hint = f"{DATA_VARIABLE} {said} {os.path.normpath(data)}"
-        expanded = str(data) + text.removeprefix(_PLACEHOLDER)
-    if "${" in expanded:
-        raise RigError(
-            f"{source}: {key}: found {text!r}; only {_PLACEHOLDER} at the start of a path is expanded, "
-            "write the rest out"
-        )
-    resolved = Path(os.path.normpath(folder.absolute() / expanded))
-    if not resolved.exists() and not set("*?[") & set(resolved.name):
-        raise RigError(f"{source}: {key}: {resolved} does not exist (written as {text!r}; {hint})")
-    return resolved
-
-
-@dataclass(slots=True)
-class _Where:
-    """The rig file while it is read: resolves what it names, and keeps each file's hash under its written name."""
-
-    rig: Path
-    hashes: dict[str, str] = field(default_factory=dict)
-    written: dict[str, str] = field(default_factory=dict)
-
-    def find(self, text: str, *, key: str) -> str:
-        """The absolute path of what is written under ``key``."""
-        found = str(resolve_data(text, folder=self.rig.parent, source=str(self.rig), key=key))
-        self.written[found] = text
-        return found
-
-    def read(self, path: Path, *, key: str) -> bytes:
-        """The bytes of a file; its hash is kept."""
-        place = f"{self.rig}: {key}" if key else str(self.rig)
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise RigError(f"{place}: {path} cannot be read: {error.strerror or error}") from None
-        self.keep(path, sha256(data).hexdigest())
-        return data
-
-    def keep(self, path: Path, digest: str) -> None:
-        """Keep the hash of a file that was read."""
-        self.hashes[self.written.get(str(path), path.name)] = digest
-
-    def named(self, key: str, error: InputError) -> InputError:
-        """The same error with the rig file and the key in front."""
-        return type(error)(f"{self.rig}: {key}: {error}")
-
-
-def _resolved(rig: Rig, where: _Where) -> Rig:
+def _resolved(rig: Rig, files: NamedFiles) -> Rig:
     """The rig with absolute paths; what they name is there."""
     anatomy = rig.anatomy
     if anatomy.folder:
-        anatomy = replace(anatomy, folder=where.find(anatomy.folder, key="anatomy.folder"))
-    files = tuple(where.find(file, key="anatomy.files") for file in anatomy.files)
-    return replace(rig, anatomy=replace(anatomy, files=files), drive=_resolved_drive(rig.drive, where))
+        anatomy = replace(anatomy, folder=files.find(anatomy.folder, key="anatomy.folder"))
+    surfaces = tuple(files.find(file, key="anatomy.files") for file in anatomy.files)
+    return replace(rig, anatomy=replace(anatomy, files=surfaces), drive=_resolved_drive(rig.drive, files))
 
 
-def _resolved_drive(drive: Drive, where: _Where) -> Drive:
+def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
     match drive:
         case JointDrive():
-            joints = where.find(drive.joints, key="drive.joints")
-            landmarks = where.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
+            joints = files.find(drive.joints, key="drive.joints")
+            landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
             return replace(drive, joints=joints, landmarks=landmarks)
         case LandmarkDrive() | CageDrive():
-            source = where.find(drive.source, key="drive.source")
-            target = where.find(drive.target, key="drive.target") if drive.target else ""
+            source = files.find(drive.source, key="drive.source")
+            target = files.find(drive.target, key="drive.target") if drive.target else ""
             return replace(drive, source=source, target=target)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Pairs:
-    """A drive of pairs: handles and where they go, (m, 3) mm."""
+    """A drive of pairs: handles and files they go, (m, 3) mm; ``frame`` is LPS or RAS files the file says so."""
 
     handles: Handles
     target: Points
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...]
+    frame: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -260,118 +179,148 @@ class _OnBones:
     motions: JointMotions
     landmarks: Handles | None
     per_bone: int
+    findings: tuple[Finding, ...] = ()
+    frame: str = ""
 
 
-def _read_driver(rig: Rig, where: _Where) -> _Pairs | _OnBones:
+def _read_driver(rig: Rig, files: NamedFiles) -> _Pairs | _OnBones:
     match rig.drive:
         case LandmarkDrive():
-            return _read_landmark_pairs(rig.drive, where)
+            return _read_landmark_pairs(rig.drive, files)
         case CageDrive():
-            return _read_cages(rig.drive, where)
+            return _read_cages(rig.drive, files)
         case JointDrive():
-            return _read_joint_drive(rig.drive, where)
+            return _read_joint_drive(rig.drive, files)
 
 
-def _read_joint_drive(drive: JointDrive, where: _Where) -> _OnBones:
-    data = where.read(Path(drive.joints), key="drive.joints")
+def _read_joint_drive(drive: JointDrive, files: NamedFiles) -> _OnBones:
+    data = files.read(Path(drive.joints), key="drive.joints")
     joints = parse_joints(parse_table(data, source=drive.joints), source=drive.joints)
     try:
         motions = joints.along(dict(drive.pose))
     except RigError as error:
-        raise where.named("drive.pose", error) from None
-    landmarks = _read_bone_landmarks(drive, where) if drive.landmarks else None
-    return _OnBones(motions, landmarks, drive.landmarks_per_bone)
+        raise files.named("drive.pose", error) from None
+    if not drive.landmarks:
+        return _OnBones(motions, None, drive.landmarks_per_bone)
+    table = _read_bone_landmarks(drive, files)
+    return _OnBones(motions, _handles(table), drive.landmarks_per_bone, table.findings, table.coordinate_system)
 
 
-def _read_landmark_pairs(drive: LandmarkDrive, where: _Where) -> _Pairs:
-    table = _landmarks(drive.source, where, key="drive.source", units=drive.units)
+def _read_landmark_pairs(drive: LandmarkDrive, files: NamedFiles) -> _Pairs:
+    table = _landmarks(drive.source, files, key="drive.source", drive=drive)
     if drive.target:
-        table = paired(table, _landmarks(drive.target, where, key="drive.target", units=drive.units))
+        target = _landmarks(drive.target, files, key="drive.target", drive=drive)
+        try:
+            table = paired(table, target)
+        except InputError as error:
+            raise files.named("drive.target", error) from None
     if table.targets is None:
         raise LandmarkError(
-            f"{where.rig}: drive.source: {drive.source} has no target columns; add them, or name a second file in "
-            "drive.target"
+            f"{files.rig}: drive.source: {drive.source} has no target columns ({drive.target_prefix}x_mm, ...); add "
+            "them, say how they start in drive.target_prefix, or name a second file in drive.target"
         )
-    return _Pairs(_handles(table), table.targets)
+    return _Pairs(_handles(table), table.targets, table.findings, table.coordinate_system)
 
 
-def _read_bone_landmarks(drive: JointDrive, where: _Where) -> Handles:
-    table = _landmarks(drive.landmarks, where, key="drive.landmarks", units=drive.units)
+def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
+    table = _landmarks(drive.landmarks, files, key="drive.landmarks", drive=drive)
     if table.targets is not None:
         raise LandmarkError(
-            f"{where.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say where landmarks "
+            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say files landmarks "
             'go; remove the columns, or use a drive of kind "landmarks"'
         )
-    return _handles(table)
+    return table
 
 
-def _read_cages(drive: CageDrive, where: _Where) -> _Pairs:
-    source, source_findings = _cage(drive.source, where, key="drive.source", units=drive.units)
-    target, target_findings = _cage(drive.target, where, key="drive.target", units=drive.units)
+def _read_cages(drive: CageDrive, files: NamedFiles) -> _Pairs:
+    source, source_findings = _cage(drive.source, files, key="drive.source", units=drive.units)
+    target, target_findings = _cage(drive.target, files, key="drive.target", units=drive.units)
     try:
         return _Pairs(*cage_handles(source, target), (*source_findings, *target_findings))
     except MeshError as error:
-        raise where.named("drive.target", error) from None
+        raise files.named("drive.target", error) from None
 
 
-def _landmarks(path: str, where: _Where, *, key: str, units: Unit) -> LandmarkTable:
-    where.read(Path(path), key=key)
+def _landmarks(path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive) -> LandmarkTable:
+    files.read(Path(path), key=key)
     try:
-        return read_landmarks(Path(path), units=units)
+        if isinstance(drive, JointDrive):
+            return read_landmarks(Path(path), units=drive.units)
+        prefixes = drive.source_prefix, drive.target_prefix
+        return read_landmarks(Path(path), units=drive.units, source_prefix=prefixes[0], target_prefix=prefixes[1])
     except InputError as error:
-        raise where.named(key, error) from None
+        raise files.named(key, error) from None
 
 
 def _handles(table: LandmarkTable) -> Handles:
     return Handles(table.names, table.positions, table.bones)
 
 
-def _cage(path: str, where: _Where, *, key: str, units: Unit) -> tuple[TriMesh, tuple[Finding, ...]]:
+def _cage(path: str, files: NamedFiles, *, key: str, units: Unit) -> tuple[TriMesh, tuple[Finding, ...]]:
     try:
         raw = read_surface(Path(path), units=units)
         if raw.path.suffix.lower() == ".stl":
             raise MeshError(f"{path}: in STL every triangle has its own vertices; give the cage as PLY or OBJ")
-        where.keep(raw.path, raw.sha256)
+        files.keep(raw.path, raw.sha256)
         return TriMesh(raw.vertices, raw.faces), raw.findings
     except InputError as error:
-        raise where.named(key, error) from None
+        raise files.named(key, error) from None
 
 
-def _read_anatomy(rig: Rig, where: _Where, *, progress: Progress) -> tuple[Anatomy, tuple[Finding, ...]]:
+def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[Anatomy, tuple[Finding, ...]]:
     source = rig.anatomy
     if source.builtin:
         if source.builtin not in BUILTIN:
             raise RigError(
-                f"{where.rig}: anatomy.builtin: found {source.builtin!r}; {suggestion(source.builtin, BUILTIN)}"
+                f"{files.rig}: anatomy.builtin: found {source.builtin!r}; {suggestion(source.builtin, BUILTIN)}"
             )
         return BUILTIN[source.builtin](), ()
     place: Path | tuple[Path, ...] = Path(source.folder) if source.folder else tuple(Path(f) for f in source.files)
     try:
         read = read_anatomy(place, units=source.units, kinds=source.kinds, frame=source.frame, progress=progress)
     except InputError as error:
-        raise where.named("anatomy", error) from None
-    where.hashes.update(read.hashes)
+        raise files.named("anatomy", error) from None
+    for name, digest in read.hashes.items():
+        written = f"{files.written[source.folder]}/{name}" if source.folder else os.path.relpath(name, files.folder)
+        files.hashes[written] = digest
     return read.anatomy, read.findings
 
 
-def _require_bones(anatomy: Anatomy, driver: _OnBones, where: _Where) -> None:
+def _frame_findings(anatomy: Anatomy, frame: str, files: NamedFiles) -> tuple[Finding, ...]:
+    """Raise LandmarkError files landmarks and anatomy state different frames; a finding files only one states its."""
+    stated = set(re.findall(r"\b(?:LPS|RAS)\b", anatomy.frame))
+    if not frame or stated == {frame}:
+        return ()
+    if stated:
+        raise LandmarkError(
+            f"{files.rig}: drive: the landmarks are in {frame}, but the anatomy's frame is {anatomy.frame!r}: x and y "
+            "have opposite signs; export both in one coordinate system"
+        )
+    message = (
+        f"the landmarks are in {frame}, the anatomy's frame is {anatomy.frame!r}; they are taken to be one: state "
+        "anatomy.frame"
+    )
+    return (Finding(files.rig.name, "frame-not-stated", message),)
+
+
+def _require_bones(anatomy: Anatomy, driver: _OnBones, files: NamedFiles) -> None:
     try:
         require_bones(anatomy, driver.motions.joints)
     except RigError as error:
-        raise where.named("drive.joints", error) from None
+        raise files.named("drive.joints", error) from None
 
 
-def _driven(rig: Rig, anatomy: Anatomy, *, driver: _Pairs | _OnBones, where: _Where) -> tuple[Handles, HandlePath]:
+def _driven(rig: Rig, anatomy: Anatomy, *, driver: _Pairs | _OnBones, files: NamedFiles) -> tuple[Handles, HandlePath]:
     """The handles and their path, checked."""
     path: HandlePath
     try:
         match driver:
-            case _Pairs(handles, target, _):
+            case _Pairs(handles=handles, target=target):
                 path = path_by_pairs(handles, target)
-            case _OnBones(motions, landmarks, per_bone):
+            case _OnBones(motions=motions, landmarks=landmarks, per_bone=per_bone):
                 handles = landmarks or bone_landmarks(anatomy, motions.joints.bones(), per_bone=per_bone)
                 path = path_by_joints(handles, motions, kind=rig.deformer.path)
         check_handles(handles, path, anatomy)
     except LandmarkError as error:
-        raise where.named("drive", error) from None
+        raise files.named("drive", error) from None
     return handles, path

@@ -29,7 +29,7 @@ def parse_table(data: bytes, *, source: str) -> dict[str, Any]:
 def parse_toml(data: bytes, *, source: str) -> dict[str, Any]:
     """The table that a TOML file holds; RigError with the file, line and column where it is broken."""
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise RigError(f"{source}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
@@ -43,7 +43,7 @@ def parse_toml(data: bytes, *, source: str) -> dict[str, Any]:
 def parse_json(data: bytes, *, source: str) -> dict[str, Any]:
     """The object that a JSON file holds; RigError where it is broken (with line and column) or says a key twice."""
     try:
-        read = json.loads(data.decode("utf-8"), object_pairs_hook=lambda pairs: _unique(pairs, source=source))
+        read = json.loads(data.decode("utf-8-sig"), object_pairs_hook=lambda pairs: _unique(pairs, source=source))
     except UnicodeDecodeError as error:
         raise RigError(f"{source}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
     except json.JSONDecodeError as error:

@@ -102,11 +102,17 @@ class AnatomySource:
 
 @dataclass(frozen=True, slots=True)
 class LandmarkDrive:
-    """Landmark pairs. ``source`` alone: a CSV with target columns; with ``target``: two files matched by name."""
+    """Landmark pairs. ``source`` alone: a CSV with target columns; with ``target``: two files matched by name.
+
+    ``units`` is the length unit of files that state none. The columns of positions and of targets start with
+    ``source_prefix`` and ``target_prefix``: with "child_" and "adult_" they are ``child_x_mm`` and ``adult_x_mm``.
+    """
 
     source: str
     target: str = ""
     units: Unit = Unit.MILLIMETRE
+    source_prefix: str = ""
+    target_prefix: str = "target_"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +120,7 @@ class JointDrive:
     """Bone landmarks moved by joints: from a file, or ("") ``landmarks_per_bone`` spread over each bone.
 
     ``pose`` holds joint names with their angles in degrees; joints that it leaves out stay at rest. ``units`` is the
-    length unit of the landmark file; the file of joints states its own.
+    length unit of a landmark file that states none; the file of joints states its own.
 
     Raises
     ------

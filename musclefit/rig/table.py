@@ -159,6 +159,8 @@ def _drive(section: Section) -> Drive:
             )
     match kind:
         case DriveKind.LANDMARKS:
+            if "target" in section and "target_prefix" in section:
+                raise section.error("target_prefix", "has no effect beside drive.target; remove one of the two")
             return _record(LandmarkDrive, section, besides=("kind",))
         case DriveKind.CAGE:
             return _record(CageDrive, section, besides=("kind",))

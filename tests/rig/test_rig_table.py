@@ -259,6 +259,10 @@ WRONG = {
         rig_table(deformer__step="cayley"),
         'arm.toml: deformer.step_rule: has no effect on "cayley" steps, which have a rule of their own; remove it',
     ),
+    "prefix of nothing": (
+        landmark_table(target="q.csv", target_prefix="adult_"),
+        "arm.toml: drive.target_prefix: has no effect beside drive.target; remove one of the two",
+    ),
     "half a cage": (
         landmark_table() | {"drive": {"kind": "cage", "source": "a.ply"}},
         "arm.toml: drive.target: is missing",

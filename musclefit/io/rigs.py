@@ -49,7 +49,7 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
     ----------
     path : path of a TOML file
         See `find_rig` for rigs by name. Relative paths in it start at its folder, those of ``overrides`` too;
-        ``${MUSCLEFIT_DATA}`` stands for that environment variable, or files it is not set for ``../../shared/data``
+        ``${MUSCLEFIT_DATA}`` stands for that environment variable, or where it is not set for ``../../shared/data``
         from the rig's folder.
     overrides : sequence of str
         ``key=value`` each; see `musclefit.rig.table.apply_overrides`.
@@ -164,7 +164,7 @@ def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Pairs:
-    """A drive of pairs: handles and files they go, (m, 3) mm; ``frame`` is LPS or RAS files the file says so."""
+    """A drive of pairs: handles and where they go, (m, 3) mm; ``frame`` is LPS or RAS where the file says so."""
 
     handles: Handles
     target: Points
@@ -226,7 +226,7 @@ def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
     table = _landmarks(drive.landmarks, files, key="drive.landmarks", drive=drive)
     if table.targets is not None:
         raise LandmarkError(
-            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say files landmarks "
+            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say where landmarks "
             'go; remove the columns, or use a drive of kind "landmarks"'
         )
     return table
@@ -287,7 +287,7 @@ def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[A
 
 
 def _frame_findings(anatomy: Anatomy, frame: str, files: NamedFiles) -> tuple[Finding, ...]:
-    """Raise LandmarkError files landmarks and anatomy state different frames; a finding files only one states its."""
+    """Raise LandmarkError where landmarks and anatomy state different frames; a finding where only one states its."""
     stated = set(re.findall(r"\b(?:LPS|RAS)\b", anatomy.frame))
     if not frame or stated == {frame}:
         return ()

@@ -1,7 +1,7 @@
 """The muscles of the built-in right limb as tables of elliptic sections; bellies yield to bones and to each other.
 
-Each muscle is a tube along its line of pull, thick at the belly and thin at the tendons. Origins and insertions are
-aimed into the bone, and the bone with its gap is carved away: so every end lies flat on its bone, one gap off it.
+Each muscle is a tube along its line of pull, thick at the belly and thin at the tendons. Its ends touch or enter the
+bone they belong to; the bone, grown by a gap, is carved away, so that every end lies on its bone one gap off it.
 """
 
 from __future__ import annotations

@@ -212,6 +212,24 @@ def test_a_bone_that_no_joint_knows_is_a_finding(folder: Path) -> None:
     assert "bone_loose" in found[0].message
 
 
+def test_frames_that_landmarks_and_anatomy_state_must_agree(folder: Path) -> None:
+    for name, shift in (("rest", 0.0), ("bent", 5.0)):
+        points = [{"label": f"p{k}", "position": [20.0 * k, 5.0 * k * k, 10.0 + shift]} for k in range(4)]
+        markup = {"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": points}
+        (folder / f"{name}.mrk.json").write_text(json.dumps({"markups": [markup]}))
+    overrides = ["drive.source=rest.mrk.json", "drive.target=bent.mrk.json"]
+    job = read_rig(folder / "pair.toml", overrides=overrides)
+    assert [f.code for f in job.findings] == ["frame-not-stated"]
+    assert "the landmarks are in RAS, the anatomy's frame is 'as in the files'" in job.findings[0].message
+    agreed = read_rig(folder / "pair.toml", overrides=[*overrides, "anatomy.frame=patient (RAS)"])
+    assert agreed.findings == ()
+    np.testing.assert_array_equal(agreed.path.position(1.0) - agreed.handles.source, [[0.0, 0.0, 5.0]] * 4)
+    with pytest.raises(
+        LandmarkError, match=r"the landmarks are in RAS, but the anatomy's frame is 'patient \(LPS\)': x and y have opp"
+    ):
+        read_rig(folder / "pair.toml", overrides=[*overrides, "anatomy.frame=patient (LPS)"])
+
+
 def _edit(name: str, old: str, new: str) -> Any:
     def apply(folder: Path) -> None:
         text = (folder / name).read_text()

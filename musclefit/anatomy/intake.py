@@ -132,7 +132,7 @@ def require_plausible_size(tissues: Iterable[Tissue], *, units: Mapping[str, flo
             f"{LARGEST_ANATOMY_MM:g} mm: correct the files, or a tissue that is far from the others"
         )
     said = f"{diagonal:.3g}" if too_small else f"{diagonal:.0f}"
-    raise InputError(f'the anatomy is {said} mm across, read with units = "{read_in}"; {way_out}')
+    raise InputError(f'the anatomy is {said} mm across; {way_out} (they were read in "{read_in}")')
 
 
 def _require_numbers(vertices: Points, faces: Faces, source: str) -> None:

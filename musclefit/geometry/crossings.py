@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from igl import predicates
 
-from musclefit.geometry.arrays import Bool, Int, Points
+from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.topology import merge_duplicate_vertices, repeats_a_vertex
+from musclefit.geometry.topology import edges_of, merge_duplicate_vertices, repeats_a_vertex
+
+_SURELY_UNFOLDED = -0.5
+"""Cosine at a common edge below which rounding cannot hide that two triangles lie on opposite sides of it, no unit."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,8 +59,13 @@ def self_crossings(mesh: TriMesh) -> Crossings:
     _, found, coplanar = predicates.find_self_intersections(
         np.ascontiguousarray(merged.vertices), np.ascontiguousarray(merged.faces[whole])
     )
-    pairs = np.sort(whole[found.reshape(-1, 2)], axis=1)
-    return _crossings(pairs, coplanar, mesh, mesh)
+    pairs, flat = np.sort(whole[found.reshape(-1, 2)], axis=1), coplanar.ravel().astype(bool)
+    # libigl 2.6.3 compares rounded normals at a common edge: it takes neighbours 1e-9 apart for folded, and misjudges
+    # those that run through their edge the same way; what has a common edge is judged here
+    by_edge = np.array([len(np.intersect1d(*pair)) == 2 for pair in merged.faces[pairs]], dtype=bool)
+    folded = _folded_neighbours(merged.vertices, merged.faces, whole)
+    pairs = np.concatenate([pairs[~by_edge], folded])
+    return _crossings(pairs, np.concatenate([flat[~by_edge], np.ones(len(folded), dtype=bool)]), mesh, mesh)
 
 
 def crossings_between(a: TriMesh, b: TriMesh) -> Crossings:
@@ -72,6 +81,48 @@ def crossings_between(a: TriMesh, b: TriMesh) -> Crossings:
     )
     found = found.reshape(-1, 2)
     return _crossings(np.stack([whole_a[found[:, 0]], whole_b[found[:, 1]]], axis=1), coplanar, a, b)
+
+
+def _folded_neighbours(vertices: Points, faces: Faces, whole: Int) -> Int:
+    """(k, 2) pairs of faces on one side of a common edge and exactly in one plane."""
+    edges = edges_of(faces[whole])
+    order = np.argsort(edges.of_face.ravel(), kind="stable")
+    owners, starts = whole[order // 3], np.cumsum(edges.faces_at) - edges.faces_at
+    plain, crowded = np.flatnonzero(edges.faces_at == 2), np.flatnonzero(edges.faces_at > 2)
+    rows = [(plain, owners[starts[plain]], owners[starts[plain] + 1])]
+    for e in crowded:
+        around = owners[starts[e] : starts[e] + edges.faces_at[e]].tolist()
+        pairs = np.array(list(combinations(sorted(around), 2)), dtype=np.int64)
+        rows.append((np.full(len(pairs), e), pairs[:, 0], pairs[:, 1]))
+    edge, first, second = (np.concatenate(column) for column in zip(*rows, strict=True))
+    if not len(edge):
+        return np.zeros((0, 2), dtype=np.int64)
+    ends = edges.ends[edge]
+    tips = [faces[own].sum(axis=1) - ends.sum(axis=1) for own in (first, second)]
+    a, b, c, d = (np.ascontiguousarray(vertices[index]) for index in (*ends.T, *tips))
+    in_plane = np.asarray(predicates.orient3d(a, b, c, d)).ravel().astype(np.int64) == 0
+    candidates = np.flatnonzero(in_plane & (tips[0] != tips[1]) & (_cosine_at_edge(a, b, c, d) > _SURELY_UNFOLDED))
+    kept = [i for i in candidates if _on_one_side(np.stack([a[i], b[i], c[i], d[i]]))]
+    return np.unique(np.stack([first[kept], second[kept]], axis=1), axis=0)
+
+
+def _cosine_at_edge(a: Points, b: Points, c: Points, d: Points) -> Float:
+    """(k,) cosine of the angle between c and d seen along the edge a b: 1 folded, -1 flat; 1 where there is none."""
+    along = b - a
+    squared = np.einsum("ki,ki->k", along, along)[:, None]
+    u, v = ((tip - a) - along * (np.einsum("ki,ki->k", tip - a, along)[:, None] / squared) for tip in (c, d))
+    lengths = np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1)
+    return np.where(lengths > 0, np.einsum("ki,ki->k", u, v) / np.where(lengths > 0, lengths, 1.0), 1.0)
+
+
+def _on_one_side(corners: Points) -> bool:
+    """Exactly: of four points in a plane, the last two lie on one side of the line through the first two."""
+    for axes in ([0, 1], [1, 2], [2, 0]):
+        shadow = np.ascontiguousarray(corners[:, axes])
+        first, second = (predicates.orient2d(shadow[0], shadow[1], shadow[k]) for k in (2, 3))
+        if first != predicates.COLLINEAR and second != predicates.COLLINEAR:
+            return bool(first == second)
+    return False  # one of the triangles is a line and covers nothing
 
 
 def _crossings(pairs: Int, coplanar: Int | Bool, a: TriMesh, b: TriMesh) -> Crossings:

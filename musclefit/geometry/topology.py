@@ -129,11 +129,29 @@ def chains(edges: Int) -> list[Int]:
 
 def face_components(faces: Faces) -> Int:
     """(f,) number of the piece of each face; pieces share no edge, and are numbered by their first face."""
-    of_face = edges_of(faces).of_face
-    n_faces = len(faces)
-    nodes = np.repeat(np.arange(n_faces), 3)
-    labels = _labels(nodes, n_faces + of_face.ravel(), n_faces + int(of_face.max(initial=-1)) + 1)[:n_faces]
-    return _by_first_occurrence(labels)
+    edges = edges_of(faces)
+    return _components(edges, np.ones(len(edges.ends), dtype=bool))
+
+
+def closed_components(faces: Faces) -> Int:
+    """(f,) as `face_components`, but closed bodies that only meet at edges of more than two faces are apart."""
+    edges = edges_of(faces)
+    joined = _components(edges, np.ones(len(edges.ends), dtype=bool))
+    if not len(edges.non_manifold):
+        return joined
+    apart = _components(edges, edges.faces_at == 2)
+    whole = {piece: not len(edges_of(faces[apart == piece]).odd) for piece in np.unique(apart)}
+    can_part = np.ones(joined.max() + 1, dtype=bool)
+    np.logical_and.at(can_part, joined, np.array([whole[piece] for piece in apart]))
+    return _by_first_occurrence(np.where(can_part[joined], apart, len(faces) + joined))
+
+
+def _components(edges: Edges, joining: Bool) -> Int:
+    """(f,) pieces when only the edges under ``joining (e,)`` hold faces together."""
+    n_faces = len(edges.of_face)
+    faces, numbers = np.repeat(np.arange(n_faces), 3), edges.of_face.ravel()
+    kept = joining[numbers]
+    return _by_first_occurrence(_labels(faces[kept], n_faces + numbers[kept], n_faces + len(edges.ends))[:n_faces])
 
 
 def _labels(a: Int, b: Int, n_nodes: int) -> Int:
@@ -258,7 +276,7 @@ def nested_pieces(mesh: TriMesh) -> Pieces:
 
     One vertex of a piece stands for the whole of it: for pieces that cross each other the answer is that vertex's.
     """
-    of_face = face_components(mesh.faces)
+    of_face = closed_components(mesh.faces)
     count = int(of_face.max(initial=-1)) + 1
     faces = [mesh.faces[of_face == piece] for piece in range(count)]
     volumes = np.array([enclosed_volume(_compact(mesh.vertices, own)) for own in faces])

@@ -29,6 +29,8 @@ from musclefit.geometry.volumes import area_vectors, enclosed_volume
 
 FEWEST_FACES = 4
 """Faces of the smallest closed surface, a tetrahedron."""
+LARGEST_COORDINATE_MM = 1e9
+"""A coordinate beyond this is damage, not anatomy, mm."""
 SMALLEST_ANATOMY_MM = 5.0
 """Diagonal of the bounding box below which files were taken for millimetres that are in a larger unit, mm."""
 LEAST_COMPACTNESS = 1e-9
@@ -75,7 +77,7 @@ def take_in(
     Raises
     ------
     MeshError
-        Empty, not finite, not closed, not orientable, or without volume.
+        Empty, not finite or absurdly far, not closed, not orientable, or without volume.
     """
     _require_numbers(vertices, faces, source)
     notes = _Notes(name, [])
@@ -147,6 +149,13 @@ def _require_numbers(vertices: Points, faces: Faces, source: str) -> None:
         raise MeshError(
             f"{source}: {bad.size} of {len(vertices)} vertices are not finite, the first is number {bad[0]} "
             f"(0-based): ({x:g}, {y:g}, {z:g}); export the surface again"
+        )
+    largest = int(np.argmax(np.abs(vertices).max(axis=1)))
+    if np.abs(vertices[largest]).max() > LARGEST_COORDINATE_MM:
+        x, y, z = vertices[largest]
+        raise MeshError(
+            f"{source}: vertex {largest} (0-based) is at ({x:.3g}, {y:.3g}, {z:.3g}) mm, farther than "
+            f"{LARGEST_COORDINATE_MM:g} mm from the origin; the file is damaged or its units are wrong"
         )
     outside = np.flatnonzero((faces < 0) | (faces >= len(vertices)))
     if outside.size:

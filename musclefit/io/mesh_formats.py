@@ -57,7 +57,7 @@ def read_stl(data: bytes, source: str) -> Polygons:
     if stated >= 0 and len(data) == 84 + 50 * stated:
         record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
         corners = np.frombuffer(data, record, offset=84)["corners"].astype(np.float64)
-    elif data.lstrip()[:5].lower() == b"solid":
+    elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         corners = _ascii_stl_corners(data, source)
     else:
         needed = f"{stated} triangles, which take {84 + 50 * stated} bytes" if stated >= 0 else "a header of 84 bytes"

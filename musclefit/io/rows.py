@@ -84,7 +84,8 @@ class Rows:
                         "are written with a point); correct it"
                     ) from error
                 if not np.isfinite(values[i, k]):
-                    raise LandmarkError(f"{self.path}: line {line}: {headings[k]} is not finite; correct it")
+                    said = f"{headings[k]} is {cells[column]}, not finite"
+                    raise LandmarkError(f"{self.path}: line {line}: {said}; correct it")
         return values
 
 

@@ -264,6 +264,10 @@ def test_two_sheets_on_each_other_enclose_nothing():
             r"the first is number 17 \(0-based\): \(1, nan, 2\)",
         ),
         (lambda v, f: (np.vstack([v[:3], [[np.inf, 0, 0]], v[4:]]), f), "1 of 162 vertices are not finite"),
+        (
+            lambda v, f: (np.vstack([v[:3], [[0, -3e200, 0]], v[4:]]), f),
+            r"vertex 3 .* is at \(0, -3e\+200, 0\) mm, farther",
+        ),
         (lambda v, f: (v, f + 1), "uses vertex 162, but there are 162"),
         (lambda v, f: (v, f - 1), "uses vertex -1"),
         (lambda v, _: (v[:3], np.array([[0, 1, 2], [2, 1, 0]])), "has 2 faces; a closed surface has at least 4"),

@@ -1,0 +1,103 @@
+"""Volumes of tissues before and after, and how rigid the bones stayed: two anatomies -> checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.errors import InputError, MeshError
+from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.volumes import enclosed_volume
+from musclefit.validate.model import OutsideCheck, TissueCheck
+
+PRESCRIBED = "prescribed"
+BEST_FIT = "best fit"
+
+
+def check_tissues(
+    rest: Anatomy, deformed: Anatomy, *, motions: Mapping[str, RigidMotion], outside: OutsideCheck
+) -> tuple[TissueCheck, ...]:
+    """Volume, percent change and, of bones, distance from rigid; one record per tissue in the anatomy's order.
+
+    Parameters
+    ----------
+    rest, deformed : Anatomy
+        The same tissues before and after, vertex by vertex.
+    motions : mapping of bone name to RigidMotion
+        Where the joints take each bone, rest to deformed. A bone that is missing here is held against the rigid
+        motion that fits it best (Kabsch), and the record says so: that is a weaker claim.
+    outside : OutsideCheck
+        Of `check_outside_skin`; a tissue missing there gets None.
+
+    Notes
+    -----
+    Volumes are signed sums over triangles: a tissue that turned inside out has a negative volume here.
+
+    Raises
+    ------
+    InputError
+        The anatomies have different tissues or vertex counts, or a motion names no bone.
+    MeshError
+        A tissue encloses no positive volume at rest.
+    """
+    bones = {tissue.name for tissue in rest.of_kind(TissueKind.BONE)}
+    unknown = [name for name in motions if name not in bones]
+    if unknown:
+        raise InputError(
+            f"a motion is prescribed for {unknown[0]!r}, which is no bone; bones are: {', '.join(sorted(bones))}"
+        )
+    beyond = {tissue.name: tissue for tissue in outside.tissues}
+    checks = []
+    for before, after in _paired(rest, deformed):
+        volume_before, volume_after = enclosed_volume(before.surface), enclosed_volume(after.surface)
+        if volume_before <= 0.0:
+            raise MeshError(
+                f"{before.name} encloses {volume_before:.6g} mm³ at rest, so a change of volume means nothing; "
+                "reverse its triangles"
+            )
+        rigidity, reference = _rigidity(before, after, motions)
+        out = beyond.get(before.name)
+        checks.append(
+            TissueCheck(
+                name=before.name,
+                kind=str(before.kind),
+                rest_volume_mm3=volume_before,
+                volume_mm3=volume_after,
+                volume_change_percent=100.0 * (volume_after - volume_before) / volume_before,
+                rigidity_mm=rigidity,
+                rigidity_reference=reference,
+                outside_skin_rest_mm3=None if out is None else out.rest_mm3,
+                outside_skin_mm3=None if out is None else out.deformed_mm3,
+                outside_skin_introduced_mm3=None if out is None else out.introduced_mm3,
+            )
+        )
+    return tuple(checks)
+
+
+def _paired(rest: Anatomy, deformed: Anatomy) -> list[tuple[Tissue, Tissue]]:
+    if [t.name for t in rest] != [t.name for t in deformed]:
+        different = sorted({t.name for t in rest} ^ {t.name for t in deformed})
+        raise InputError(f"the anatomies before and after differ in: {', '.join(different[:4]) or 'order'}")
+    pairs = list(zip(rest, deformed, strict=True))
+    for before, after in pairs:
+        if len(before.surface.vertices) != len(after.surface.vertices):
+            raise InputError(
+                f"{before.name} has {len(before.surface.vertices)} vertices at rest and "
+                f"{len(after.surface.vertices)} deformed; check the same mesh before and after"
+            )
+    return pairs
+
+
+def _rigidity(
+    before: Tissue, after: Tissue, motions: Mapping[str, RigidMotion]
+) -> tuple[float, str] | tuple[None, None]:
+    """Largest distance of a bone's vertex from where the rigid motion takes it, and which motion that is."""
+    if before.kind is not TissueKind.BONE:
+        return None, None
+    source, target = before.surface.vertices, after.surface.vertices
+    prescribed = motions.get(before.name)
+    motion = RigidMotion.fitted(source, target) if prescribed is None else prescribed
+    distance = float(np.linalg.norm(motion(source) - target, axis=1).max())
+    return distance, BEST_FIT if prescribed is None else PRESCRIBED

@@ -1,4 +1,4 @@
-"""Chooses views that show a body whole: along its principal axes, the same for every panel; knows points, not tissues."""
+"""Chooses views that show a body whole, along its principal axes; knows points, not tissues."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def principal_views(points: Points) -> tuple[View, View]:
     Returns
     -------
     tuple of two View
-        Deterministic; the signs of the axes follow their largest components, the upright axis points up (+z) where it can.
+        Deterministic: the signs of the axes follow their largest components, upright is towards +z where it can be.
     """
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False) if len(points) >= 3 else (0, 0, np.eye(3))
@@ -58,7 +58,7 @@ def principal_views(points: Points) -> tuple[View, View]:
 
 
 def _positive(axis: Float) -> Float:
-    """The axis or its opposite: up (+z) where that is more than a quarter of it, else with a positive largest component."""
+    """The axis or its opposite: towards +z where z has a say in it, else with a positive largest component."""
     lead = 2 if abs(axis[2]) > 0.25 else int(np.argmax(np.abs(axis)))
     return axis if axis[lead] > 0 else -axis
 

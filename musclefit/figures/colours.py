@@ -9,7 +9,7 @@ from musclefit.anatomy.model import Anatomy, TissueKind
 Colour = tuple[float, float, float]
 
 SKIN: Colour = (0.91, 0.72, 0.60)
-BONE: Colour = (0.93, 0.89, 0.79)
+BONE: Colour = (0.97, 0.94, 0.86)
 FOLD: Colour = (0.85, 0.00, 0.95)
 """Where the map folds: nothing in a body is magenta."""
 OVERLAP: Colour = (0.00, 0.35, 1.00)
@@ -23,7 +23,7 @@ _GOLDEN = 0.6180339887498949
 def tissue_colours(anatomy: Anatomy) -> dict[str, Colour]:
     """A colour for each tissue by name: skin, ivory bones, a red of its own for each muscle, ochres for the rest.
 
-    Neighbours in the list of names are far apart in shade (golden section), since they are often neighbours in the body.
+    Neighbours in the list of names are far apart in shade (golden section): they are often neighbours in the body.
     """
     colours: dict[str, Colour] = {}
     for kind, ramp in ((TissueKind.MUSCLE, _REDS), (TissueKind.OTHER, _OCHRES)):

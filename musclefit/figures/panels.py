@@ -30,7 +30,7 @@ _IN_FRONT = -66000.0
 class Marks:
     """What to point out in one panel.
 
-    ``determinants`` holds det J (n,) at the vertices of a tissue by name; ``overlaps`` are the solids that two tissues share.
+    ``determinants`` holds det J (n,) at the vertices of tissues by name; ``overlaps`` are solids shared by two.
     """
 
     determinants: Mapping[str, Float] = field(default_factory=dict)
@@ -55,8 +55,8 @@ class Panel:
             count = len(self.anatomy[name].surface.vertices)
             if np.shape(determinants) != (count,):
                 raise InputError(
-                    f"the determinants of {name!r} have shape {np.shape(determinants)}; give one for each of its {count} "
-                    "vertices"
+                    f"the determinants of {name!r} have shape {np.shape(determinants)}; give one for each "
+                    f"of its {count} vertices"
                 )
 
 
@@ -146,9 +146,9 @@ def _add_tissue(plotter: Any, tissue: Tissue, colour: Colour) -> None:
         return
     look: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": False, "color": colour}
     if tissue.kind is TissueKind.SKIN:
-        plotter.add_mesh(surface(tissue.surface), opacity=0.16, specular=0.0, ambient=0.25, **look)
+        plotter.add_mesh(surface(tissue.surface), opacity=0.2, specular=0.0, ambient=0.25, **look)
     else:
-        plotter.add_mesh(surface(tissue.surface), specular=0.15, specular_power=12, ambient=0.12, diffuse=0.9, **look)
+        plotter.add_mesh(surface(tissue.surface), specular=0.15, specular_power=12, ambient=0.22, diffuse=0.85, **look)
 
 
 def _add_determinants(plotter: Any, tissue: Tissue, determinants: Float) -> None:

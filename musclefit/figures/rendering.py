@@ -25,8 +25,8 @@ _REMEDY = "install a software OpenGL (Debian, Ubuntu: libegl1 and libgl1-mesa-dr
 def rendering_problem() -> str:
     """Why off-screen rendering does not work here, or "" where it does.
 
-    A small picture is drawn in a process of its own, since a missing OpenGL library may abort the process that asks for it. The
-    answer is kept for as long as the program runs.
+    A small picture is drawn in a process of its own, since a missing OpenGL library may abort the process that asks for
+    it. The answer is kept for as long as the program runs.
     """
     return try_rendering((sys.executable, "-c", _TRIAL), timeout_s=120.0)
 

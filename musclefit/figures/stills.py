@@ -1,4 +1,4 @@
-"""The pictures of a report: rest, baseline and result side by side, as PNG bytes; where nothing can be drawn, the reason."""
+"""The pictures of a report as PNG bytes: rest, baseline and result side by side; or the reason why there are none."""
 
 from __future__ import annotations
 
@@ -116,7 +116,8 @@ def _require_same_tissues(panels: list[Panel]) -> None:
         if others != names:
             differing = sorted(set(names) ^ set(others))[:4]
             raise InputError(
-                f"{panel.title} and rest have different tissues ({', '.join(differing)}); pictures compare the same tissues"
+                f"{panel.title} and rest have different tissues ({', '.join(differing)}); "
+                "pictures compare the same tissues"
             )
 
 

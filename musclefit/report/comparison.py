@@ -63,8 +63,8 @@ def compare(report: Report) -> tuple[Row, ...]:
 def worst_first(tissues: tuple[TissueCheck, ...], limits: Limits) -> tuple[TissueCheck, ...]:
     """Tissues by how far they are from keeping their limits, the worst first.
 
-    Each is ranked by its largest share of a limit (rigidity of bones, volume of muscles, volume outside the skin), then by
-    the size of its volume change; a number that is missing where there should be one comes before all others.
+    Each is ranked by its largest share of a limit (rigidity of bones, volume of muscles, volume outside the skin), then
+    by the size of its volume change; a number that is missing where there should be one comes before all others.
     """
     return tuple(sorted(tissues, key=lambda t: (-_strain(t, limits), -_size(t.volume_change_percent), t.name)))
 

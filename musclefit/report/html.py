@@ -1,4 +1,4 @@
-"""Turns a report and its pictures into one self-contained page; measures and judges nothing."""
+"""Turns a report, with its pictures, into one self-contained page; measures and judges nothing."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import base64
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 import jinja2
 
+from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.report.comparison import Row, compare, worst_first
-from musclefit.report.model import SCHEMA_VERSION, Report, Side, absent, checks_against
+from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, checks_against
 from musclefit.validate.model import Check, PairOverlap, TissueCheck
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -43,12 +43,17 @@ def render_html(report: Report, *, pictures: Mapping[str, bytes], pictures_probl
     InputError
         A picture is not a PNG; names its caption.
     """
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"number": number, "amount": amount, "seconds": seconds}
-    source = files("musclefit.report").joinpath("report.html.jinja").read_text(encoding="utf-8")
-    return environment.from_string(source).render(_page(report, pictures, pictures_problem))
+    return _render("report.html.jinja", _page(report, pictures, pictures_problem))
+
+
+def render_inspection(report: MeshReport) -> str:
+    """One page about an anatomy as it is; needs no other file and no network, escapes every name."""
+    page = _shared(report, remark="")
+    page["absent"] = () if any(t.kind == TissueKind.SKIN for t in report.tissues) else ("no skin",)
+    page["triangles"] = sum(t.triangles for t in report.tissues)
+    page["skin"] = any(t.outside_skin_mm3 is not None for t in report.tissues)
+    page["pairs"] = sorted(report.overlaps.pairs, key=lambda p: _largest_first(p.rest_mm3))
+    return _render("inspection.html.jinja", page)
 
 
 def number(value: float | None) -> str:
@@ -106,19 +111,40 @@ class _PairRow:
     baseline: PairOverlap | None
 
 
-def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) -> dict[str, Any]:
-    """Everything the template names."""
+def _render(template: str, page: dict[str, Any]) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("musclefit", "report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": number, "amount": amount, "seconds": seconds}
+    return environment.get_template(template).render(page)
+
+
+def _shared(report: Report | MeshReport, *, remark: str) -> dict[str, Any]:
+    """What both pages name."""
     failed = [check for check in report.checks if not check.passed]
     return {
         "report": report,
-        "result": report.result,
-        "baseline": report.baseline,
         "verdict": report.verdict,
         "checks": report.checks,
         "failed": failed,
         "sentences": [_sentence(check) for check in failed],
+        "remark": remark,
+        "total_seconds": math.fsum(report.timings_s.values()),
+        "schema_version": SCHEMA_VERSION,
+    }
+
+
+def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) -> dict[str, Any]:
+    """Everything the page of a run names."""
+    return {
+        **_shared(report, remark=_remark(report)),
+        "result": report.result,
+        "baseline": report.baseline,
         "groups": _grouped(compare(report)),
-        "baseline_failed": _failures(report.baseline, report),
         "absent": absent(report.result),
         "pictures": {caption: _data_uri(caption, png) for caption, png in pictures.items()},
         "pictures_problem": pictures_problem,
@@ -126,9 +152,17 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         "pairs": _pair_rows(report),
         "skin": any(t.outside_skin_mm3 is not None for t in report.result.tissues),
         "bones": any(t.rigidity_mm is not None for t in report.result.tissues),
-        "total_seconds": math.fsum(report.timings_s.values()),
-        "schema_version": SCHEMA_VERSION,
     }
+
+
+def _remark(report: Report) -> str:
+    """How the baseline does against the same limits, in words."""
+    if report.baseline is None:
+        return ""
+    checks = checks_against(report.limits, report.baseline)
+    failed = sum(not check.passed for check in checks)
+    outcome = f"fails {failed} of {len(checks)}" if failed else "keeps them all"
+    return f"The baseline, held against the same limits, {outcome}."
 
 
 def _sentence(check: Check) -> str:
@@ -146,10 +180,6 @@ def _grouped(rows: tuple[Row, ...]) -> dict[str, list[Row]]:
     return groups
 
 
-def _failures(side: Side | None, report: Report) -> int:
-    return 0 if side is None else sum(not check.passed for check in checks_against(report.limits, side))
-
-
 def _tissue_rows(report: Report) -> list[_TissueRow]:
     other = {} if report.baseline is None else {t.name: t for t in report.baseline.tissues}
     ordered = worst_first(report.result.tissues, report.limits)
@@ -159,9 +189,11 @@ def _tissue_rows(report: Report) -> list[_TissueRow]:
 def _off_limit(tissue: TissueCheck, report: Report) -> tuple[str, ...]:
     limits = report.limits
     off = []
-    if tissue.kind == "muscle" and not abs(tissue.volume_change_percent) <= limits.muscle_volume_percent:
+    if tissue.kind == TissueKind.MUSCLE and not abs(tissue.volume_change_percent) <= limits.muscle_volume_percent:
         off.append("volume")
-    if tissue.kind == "bone" and (tissue.rigidity_mm is None or not tissue.rigidity_mm <= limits.bone_rigidity_mm):
+    if tissue.kind == TissueKind.BONE and (
+        tissue.rigidity_mm is None or not tissue.rigidity_mm <= limits.bone_rigidity_mm
+    ):
         off.append("rigidity")
     outside = tissue.outside_skin_introduced_mm3
     if outside is not None and not outside <= limits.introduced_outside_skin_mm3:
@@ -175,13 +207,18 @@ def _pair_rows(report: Report) -> list[_PairRow]:
     baseline = {} if report.baseline is None else {(p.a, p.b): p for p in report.baseline.overlaps.pairs}
     rows = [_PairRow(a, b, result.get((a, b)), baseline.get((a, b))) for a, b in {**result, **baseline}]
 
-    def size(pair: PairOverlap | None) -> tuple[float, float]:
-        if pair is None:
-            return (-1.0, -1.0)
-        introduced = pair.introduced_mm3
-        return (math.inf if math.isnan(introduced) else introduced, pair.deformed_mm3)
+    def rank(row: _PairRow) -> tuple[tuple[float, float], ...]:
+        return tuple(
+            (1.0, 0.0) if side is None else (_largest_first(side.introduced_mm3), _largest_first(side.deformed_mm3))
+            for side in (row.result, row.baseline)
+        )
 
-    return sorted(rows, key=lambda row: (size(row.result), size(row.baseline)), reverse=True)
+    return sorted(rows, key=rank)
+
+
+def _largest_first(value: float) -> float:
+    """Sorts the largest first, and what is not a number before all."""
+    return -math.inf if math.isnan(value) else -value
 
 
 def _data_uri(caption: str, png: bytes) -> str:

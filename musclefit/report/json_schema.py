@@ -140,8 +140,9 @@ def _mesh() -> Schema:
         "max_volume_ratio": _number("Largest deformed volume over rest volume of a tetrahedron."),
         "claim": {
             "enum": [claim.value for claim in MeshClaim],
-            "description": "What is known of the deformed mesh. certified: every tetrahedron proved positive by an exact "
-            "predicate and the boundary does not cross itself; sampled: positive in floating point; refuted: not so.",
+            "description": "What is known of the deformed mesh. certified: every tetrahedron proved positive by an "
+            "exact predicate and the boundary does not cross itself; sampled: positive in floating point; refuted: not "
+            "so.",
         },
         "inverted_by_tissue": _list(_record(by_tissue, "One tissue."), "Where the inverted tetrahedra are."),
     }

@@ -194,8 +194,8 @@ def total_overlap(pairs: Iterable[PairOverlap]) -> OverlapTotal:
 def checks_against(limits: Limits, side: Side) -> tuple[Check, ...]:
     """Hold what was measured against the limits.
 
-    A number that is missing or not finite becomes NaN and fails; so does anything that could not be checked. What the run
-    does not have at all (no bone, no muscle, no skin, no tetrahedra) makes no check: see ``absent``.
+    A number that is missing or not finite becomes NaN and fails; so does anything that could not be checked. What the
+    run does not have at all (no bone, no muscle, no skin, no tetrahedra) makes no check: see ``absent``.
 
     Parameters
     ----------

@@ -21,13 +21,13 @@ from musclefit.report.model import (
 from musclefit.rig.model import Limits
 from musclefit.validate.model import Check, MapCheck, MeshCheck, NotChecked, PairOverlap, TissueCheck
 
-__all__ = ["Json", "mesh_report_schema", "mesh_report_to_json", "report_schema", "to_json"]
+__all__ = ["Json", "mesh_report_schema", "report_schema", "to_json"]
 
 Json = dict[str, Any]
 
 
-def to_json(report: Report) -> Json:
-    """The report as JSON values, as documented by ``report_schema``.
+def to_json(report: Report | MeshReport) -> Json:
+    """The report as JSON values, as documented by ``report_schema`` or ``mesh_report_schema``.
 
     Numbers that are not finite become null; their checks have failed already.
 
@@ -36,6 +36,8 @@ def to_json(report: Report) -> Json:
     TypeError
         The provenance holds something that has no JSON form; names its key.
     """
+    if isinstance(report, MeshReport):
+        return _inspection(report)
     return {
         "schema_version": SCHEMA_VERSION,
         "title": report.title,
@@ -48,8 +50,7 @@ def to_json(report: Report) -> Json:
     }
 
 
-def mesh_report_to_json(report: MeshReport) -> Json:
-    """The inspection as JSON values, as documented by ``mesh_report_schema``."""
+def _inspection(report: MeshReport) -> Json:
     return {
         "schema_version": SCHEMA_VERSION,
         "title": report.title,

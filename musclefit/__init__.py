@@ -1,1 +1,71 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it."""
+
+from importlib import import_module as _import_module
+from importlib.metadata import version as _version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from musclefit.anatomy.builtin import upper_limb
+    from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+    from musclefit.anatomy.tetrahedra import tetrahedralise
+    from musclefit.geometry.meshes import TetMesh, TriMesh
+    from musclefit.geometry.rigid import RigidMotion
+    from musclefit.io.landmarks import read_landmarks
+    from musclefit.io.rigs import find_rig, read_rig
+    from musclefit.io.runs import prepared_tets, save
+    from musclefit.io.surfaces import read_anatomy
+    from musclefit.pipeline.inspect import inspect
+    from musclefit.pipeline.retarget import retarget
+    from musclefit.rig.handles import Handles, StraightPath
+
+__version__ = _version("musclefit")
+
+_HOMES = {
+    "Anatomy": "anatomy.model",
+    "Handles": "rig.handles",
+    "RigidMotion": "geometry.rigid",
+    "StraightPath": "rig.handles",
+    "TetMesh": "geometry.meshes",
+    "Tissue": "anatomy.model",
+    "TissueKind": "anatomy.model",
+    "TriMesh": "geometry.meshes",
+    "find_rig": "io.rigs",
+    "inspect": "pipeline.inspect",
+    "prepared_tets": "io.runs",
+    "read_anatomy": "io.surfaces",
+    "read_landmarks": "io.landmarks",
+    "read_rig": "io.rigs",
+    "retarget": "pipeline.retarget",
+    "save": "io.runs",
+    "tetrahedralise": "anatomy.tetrahedra",
+    "upper_limb": "anatomy.builtin",
+}
+
+__all__ = [
+    "Anatomy",
+    "Handles",
+    "RigidMotion",
+    "StraightPath",
+    "TetMesh",
+    "Tissue",
+    "TissueKind",
+    "TriMesh",
+    "__version__",
+    "find_rig",
+    "inspect",
+    "prepared_tets",
+    "read_anatomy",
+    "read_landmarks",
+    "read_rig",
+    "retarget",
+    "save",
+    "tetrahedralise",
+    "upper_limb",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that ``import musclefit`` stays quick."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'musclefit' has no attribute {name!r}")
+    return getattr(_import_module(f"musclefit.{_HOMES[name]}"), name)

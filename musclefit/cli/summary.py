@@ -1,0 +1,74 @@
+"""What a run or an inspection found, in a screenful."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from musclefit.report.comparison import Cell, compare
+from musclefit.report.model import MeshReport, Report
+from musclefit.validate.model import Check
+
+
+def print_run(report: Report, *, folder: Path) -> None:
+    """The verdict, the limits, and result beside baseline."""
+    console = Console(highlight=False)
+    console.print(_verdict(report.verdict, report.title))
+    console.print(Text(f"{report.result.method}; {report.result.steps} steps; {report.result.status}"))
+    console.print(Text(f"map: {report.result.map.claim.value}; mesh: {_mesh_claim(report)}"))
+    table = Table(box=None, pad_edge=False)
+    for heading, justify in (("", "left"), ("result", "right"), ("one shot", "right"), ("unit", "left")):
+        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    for row in compare(report):
+        table.add_row(row.name, _cell(row.result), _cell(row.baseline), row.unit)
+    console.print(table)
+    _print_failed(console, report.checks)
+    console.print(Text(f"written to {folder}: report.html, report.json, surfaces, pictures"))
+
+
+def print_inspection(report: MeshReport, *, folder: Path | None) -> None:
+    """The verdict, what was found in the surfaces, and the overlapping pairs."""
+    console = Console(highlight=False)
+    console.print(_verdict(report.verdict, report.title))
+    triangles = sum(t.triangles for t in report.tissues)
+    console.print(Text(f"{len(report.tissues)} tissues, {triangles} triangles, {len(report.findings)} findings"))
+    for finding in report.findings[:20]:
+        console.print(Text(f"  {finding.subject}: {finding.message}"))
+    if len(report.findings) > 20:
+        console.print(Text(f"  ... and {len(report.findings) - 20} more, all in the report"))
+    console.print(Text(f"{len(report.overlaps.pairs)} overlapping pairs, {report.overlap_total_mm3:.6g} mm³ in all"))
+    for pair in report.overlaps.pairs[:20]:
+        console.print(Text(f"  {pair.rest_mm3:12.4g} mm³  {pair.a} / {pair.b}"))
+    if len(report.overlaps.pairs) > 20:
+        console.print(Text(f"  ... and {len(report.overlaps.pairs) - 20} more, all in the report"))
+    _print_failed(console, report.checks)
+    if folder is not None:
+        console.print(Text(f"written to {folder}: report.html, report.json"))
+
+
+def _verdict(verdict: str, title: str) -> Text:
+    return Text.assemble((verdict.upper(), "bold green" if verdict == "passed" else "bold red"), f"  {title}")
+
+
+def _mesh_claim(report: Report) -> str:
+    return "no tetrahedra" if report.result.mesh is None else report.result.mesh.claim.value
+
+
+def _print_failed(console: Console, checks: tuple[Check, ...]) -> None:
+    for check in checks:
+        if not check.passed:
+            place = f" ({check.place})" if check.place else ""
+            value = "not measured" if math.isnan(check.value) else f"{check.value:.4g}"
+            console.print(Text(f"failed: {check.name} {value} {check.unit}, limit {check.limit:.4g}{place}"))
+
+
+def _cell(cell: Cell | None) -> Text:
+    """A number, red where it breaks its limit."""
+    if cell is None or cell.value is None:
+        return Text("-")
+    text = "not measured" if math.isnan(cell.value) else f"{cell.value:.4g}"
+    return Text(text, style="red" if cell.passed is False else "")

@@ -1,0 +1,43 @@
+"""What a report says of the run itself: versions, peak memory, the seconds of each stage."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import musclefit
+
+LIBRARIES = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pytetwild", "pyvista", "vtk", "libigl")
+
+
+def versions() -> dict[str, str]:
+    """Versions of musclefit, Python and the libraries that made the numbers."""
+    found = {"musclefit": musclefit.__version__, "python": platform.python_version()}
+    for library in LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            found[library] = "not installed"
+    return found
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, MB (10⁶ bytes); NaN where the platform does not tell."""
+    if sys.platform == "win32":
+        return float("nan")
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak) * (1e-6 if sys.platform == "darwin" else 1.024e-3)
+
+
+def measured(seconds: Mapping[str, float], *, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a report that only the run itself knows, for `dataclasses.replace`."""
+    return {
+        "timings_s": {name: round(value, 4) for name, value in seconds.items()},
+        "peak_memory_mb": round(peak_memory_mb(), 1),
+        "provenance": {"versions": versions(), "platform": platform.platform(), **provenance},
+    }

@@ -1,0 +1,54 @@
+"""An anatomy as it is: overlaps at rest, tissue outside the skin, findings; nothing is moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy
+from musclefit.geometry.volumes import enclosed_volume
+from musclefit.progress import Progress, Silent
+from musclefit.report.model import MeshReport, TissueSummary
+from musclefit.validate.overlaps import check_outside_skin, rest_overlaps, solid_anatomy
+
+
+def inspect(
+    anatomy: Anatomy, *, findings: Sequence[Finding], title: str, progress: Progress | None = None
+) -> MeshReport:
+    """Report an anatomy as it stands.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    findings : sequence of Finding
+        What was found when reading it.
+    title : str
+
+    Returns
+    -------
+    MeshReport
+    """
+    progress = progress or Silent()
+    solids = solid_anatomy(anatomy, progress=progress)
+    overlaps = rest_overlaps(solids, progress=progress)
+    outside = check_outside_skin(solids, solids, mapped=lambda points: points, progress=progress)
+    beyond = {tissue.name: tissue.rest_mm3 for tissue in outside.tissues}
+    tissues = tuple(
+        TissueSummary(
+            name=tissue.name,
+            kind=tissue.kind.value,
+            vertices=len(tissue.surface.vertices),
+            triangles=len(tissue.surface.faces),
+            volume_mm3=enclosed_volume(tissue.surface),
+            outside_skin_mm3=beyond.get(tissue.name),
+        )
+        for tissue in anatomy
+    )
+    return MeshReport(
+        title=title,
+        frame=anatomy.frame,
+        tissues=tissues,
+        findings=tuple(findings),
+        overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
+    )

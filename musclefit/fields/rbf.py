@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from musclefit.errors import FieldError
-from musclefit.fields import loops
+from musclefit.fields import enclosures, loops
 from musclefit.fields.cells import Cells
 from musclefit.fields.kernels import KERNELS, RadialKernel
 from musclefit.fields.solve import SaddleFactor
@@ -79,6 +79,46 @@ class RadialField:
             linear=factor * self.linear,
             translation=factor * self.translation,
         )
+
+    def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+        """Rigorous enclosure of the gradient over boxes: (B, n, n) and radii (B,); see `protocol.Field`."""
+        return enclosures.gradient_bounds(self, centres, half_widths, balls=enclosures.endless(centres))
+
+    def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
+        """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.
+
+        Parameters
+        ----------
+        centres, half_widths : (B, n) float64, mm
+        enough : (float, float)
+            Bounds at least as good as this need not be tightened: a lower one from ``enough[0]`` up, an upper one from
+            ``enough[1]`` down.
+
+        Returns
+        -------
+        (B, 2), (B, 2) float64
+            Every eigenvalue anywhere in box b is within the first; the second is about the range at the box's centre
+            (without sources at which the gradient jumps, where they are near) and proves nothing.
+        """
+        balls = enclosures.endless(centres)
+        return enclosures.strain_bounds(self, centres, half_widths, balls=balls, enough=enough)
+
+    def gradient_ball_bounds(self, centres: Points, radii: Float) -> tuple[Gradients, Float]:
+        """As ``gradient_bounds``, over (B,) balls: tighter than over the cubes around them."""
+        half_widths = enclosures.cubes(radii, centres.shape[1])
+        return enclosures.gradient_bounds(self, centres, half_widths, balls=radii)
+
+    def strain_ball_bounds(self, centres: Points, radii: Float) -> tuple[Float, Float]:
+        """As ``strain_bounds``, over (B,) balls: tighter than over the cubes around them."""
+        half_widths, enough = enclosures.cubes(radii, centres.shape[1]), (np.inf, -np.inf)
+        return enclosures.strain_bounds(self, centres, half_widths, balls=radii, enough=enough)
+
+    def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
+        """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, n) each, mm.
+
+        For every x in box b, each component i of the displacement is within ``radii[b, i]`` of ``values[b, i]``.
+        """
+        return enclosures.displacement_bounds(self, centres, half_widths)
 
     def _polynomial(self, points: Points) -> Points:
         moved: Points = self.translation + (points - self.origin) @ self.linear.T

@@ -1,0 +1,179 @@
+"""Looks for a point of the body at which a step reverses orientation, and proves it when found."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from musclefit.certify.covers import (
+    Cover,
+    cayley_image,
+    cayley_midpoints,
+    displacement_with_error,
+    explicit_image,
+    solve,
+)
+from musclefit.certify.model import Fold
+from musclefit.fields.protocol import Field
+from musclefit.geometry.arrays import Bool, Float, Gradients, Points
+from musclefit.rig.model import StepKind
+
+StepOf = tuple[StepKind, Field]
+"""A step as certification takes it."""
+
+Inside = Callable[[Points], Bool]
+"""Which points at rest belong to the body."""
+
+ROUNDS = 18
+"""Of the pattern search; its stride halves in each round without progress."""
+
+CANDIDATES = 24
+"""Folded places that are followed back to rest, most reversed first."""
+
+
+def find_fold(
+    steps: Sequence[StepOf], number: int, starts: Points, *, stride: float, inside: Inside
+) -> tuple[Fold, ...]:
+    """A proved fold of step ``number`` (counted from 0), or nothing.
+
+    Descends from ``starts`` (K, n), mm, to places with a negative determinant; these are followed back through the
+    steps before to points at rest, which count only when ``inside`` the body. Each is then carried forward in proved
+    balls, and the fold is claimed when the determinant is negative on the whole last ball.
+    """
+    kind, field = steps[number]
+    if not len(starts):
+        return ()
+    places = _descend(kind, field, starts, stride)
+    for place in places[:CANDIDATES]:
+        rest = _back_to_rest(steps[:number], kind, field, place[None])
+        if not np.isfinite(rest).all() or not inside(rest)[0]:
+            continue
+        fold = prove_fold(steps, number, rest, near=place[None])
+        if fold:
+            return fold
+    return ()
+
+
+def prove_fold(steps: Sequence[StepOf], number: int, rest: Points, *, near: Points) -> tuple[Fold, ...]:
+    """The fold of step ``number`` at the image of one point at rest, if it can be proved; both (1, n)."""
+    cover = Cover(rest, np.zeros(1))
+    for kind, field in steps[:number]:
+        if kind is StepKind.CAYLEY:
+            midpoints = cayley_midpoints(field, cover)
+            if not midpoints.found.all():
+                return ()
+            cover = cayley_image(field, midpoints)
+        else:
+            cover = explicit_image(field, cover)
+    kind, field = steps[number]
+    if kind is StepKind.CAYLEY:
+        cover = _midpoint_near(field, cover, near)
+    ceiling = _determinant_ceiling(kind, field, cover)
+    if not ceiling < 0.0:
+        return ()
+    return (Fold(tuple(map(float, rest[0])), number, tuple(map(float, cover.points[0])), ceiling),)
+
+
+def _midpoint_near(field: Field, cover: Cover, near: Points) -> Cover:
+    """A ball that holds a midpoint of every point of a ball, found near ``near`` (1, n); of infinite radius if none is.
+
+    With F = id - D/2, A about the inverse of I - grad D/2, and k = |A| sup |A^-1 - grad F| over a ball of radius s
+    around y, the map a -> a - A (F(a) - x) contracts by k < 1 and keeps the ball when |A| |F(y) - x| <= (1 - k) s.
+    Monotonicity is not needed: the midpoint need not be the only one, but it is one.
+    """
+    n = near.shape[1]
+    middle = near
+    for _ in range(6):
+        values, gradients = field.displacement_and_gradient(middle)
+        matrix = np.eye(n) - 0.5 * gradients[0]
+        if not abs(np.linalg.det(matrix)) > 1e-9:
+            break
+        middle = middle - np.linalg.solve(matrix, middle[0] - 0.5 * values[0] - cover.points[0])[None]
+    values, errors = displacement_with_error(field, middle)
+    reach = float(np.linalg.norm(middle - 0.5 * values - cover.points) + errors[0] + cover.radii[0])
+    reach = (reach + 1e-15 * float(np.abs(middle).sum() + np.abs(values).sum() + np.abs(cover.points).sum())) * 1.001
+    gradients, _ = field.gradient_bounds(middle, np.zeros_like(middle))
+    matrix = np.eye(n) - 0.5 * gradients[0]
+    if not (np.isfinite(matrix).all() and np.isfinite(reach) and abs(np.linalg.det(matrix)) > 1e-9):
+        return Cover(middle, np.array([np.inf]))
+    inverse = np.linalg.inv(matrix)
+    size = float(np.linalg.norm(inverse, "fro")) * 1.001
+    radius = 2.0 * size * reach
+    enclosed, spread = field.gradient_bounds(middle, np.full_like(middle, radius))
+    # |A^-1 - grad F| is taken as its two parts: the rounded inverse, and the gradient over the ball.
+    apart = float(np.linalg.norm(inverse @ (np.eye(n) - 0.5 * enclosed[0]) - np.eye(n), "fro")) + 1e-12 * size
+    contraction = (apart + 0.5 * size * float(spread[0])) * 1.001
+    return Cover(middle, np.array([radius if contraction <= 0.5 else np.inf]))
+
+
+def _determinant_ceiling(kind: StepKind, field: Field, cover: Cover) -> float:
+    """A proved upper bound over one ball of the determinant (for Cayley steps: of the product of both) that decides."""
+    if not np.isfinite(cover.radii).all():
+        return np.inf
+    gradients, spread = field.gradient_bounds(
+        cover.points, np.repeat(cover.radii[:, None], cover.points.shape[1], axis=1)
+    )
+    eye, gradient, radius = np.eye(cover.points.shape[1]), gradients[0], float(spread[0])
+    if kind is StepKind.EXPLICIT:
+        return _determinant_range(eye + gradient, radius)[1]
+    a = _determinant_range(eye + 0.5 * gradient, 0.5 * radius)
+    b = _determinant_range(eye - 0.5 * gradient, 0.5 * radius)
+    products = [x * y for x in a for y in b]
+    return max(products) * (1.0 - 1e-12) if max(products) < 0.0 else np.inf
+
+
+def _determinant_range(matrix: Float, radius: float) -> tuple[float, float]:
+    """Proved range of the determinant of matrix + E over |E| <= radius: off by at most
+    n |E| (|matrix| + |E|)^(n-1)."""
+    n = len(matrix)
+    size = float(np.linalg.norm(matrix, "fro")) * (1.0 + 1e-12) + radius
+    off = (n * radius * size ** (n - 1) + 1e-13 * size**n) * (1.0 + 1e-12)
+    value = float(np.linalg.det(matrix))
+    return value - off, value + off
+
+
+def _descend(kind: StepKind, field: Field, starts: Points, stride: float) -> Points:
+    """Places with negative determinants found by a pattern search from the starts, most reversed first."""
+    n = starts.shape[1]
+    moves = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=n) if any(d)])
+    here, strides = starts.copy(), np.full(len(starts), stride)
+    value = _deciding(kind, field.gradient(here))
+    folded, depths = [here[value < 0.0]], [value[value < 0.0]]
+    for _ in range(ROUNDS):
+        tried = (here[:, None] + strides[:, None, None] * moves).reshape(-1, n)
+        found = _deciding(kind, field.gradient(tried)).reshape(len(here), -1)
+        best = np.argmin(found, axis=1)
+        rows = np.arange(len(here))
+        better = found[rows, best] < value
+        here = np.where(better[:, None], tried.reshape(len(here), -1, n)[rows, best], here)
+        value = np.where(better, found[rows, best], value)
+        strides = np.where(better, strides, 0.5 * strides)
+        folded.append(here[better & (value < 0.0)])
+        depths.append(value[better & (value < 0.0)])
+    places, depth = np.concatenate(folded), np.concatenate(depths)
+    # The first places found are nearest to where the search began; the deepest come before them.
+    order: Points = places[np.argsort(depth, kind="stable")]
+    return order
+
+
+def _deciding(kind: StepKind, gradients: Gradients) -> Float:
+    """The sampled determinant whose sign is that of the step's Jacobian."""
+    eye = np.eye(gradients.shape[-1])
+    if kind is StepKind.EXPLICIT:
+        value: Float = np.linalg.det(eye + gradients)
+    else:
+        value = np.linalg.det(eye + 0.5 * gradients) * np.linalg.det(eye - 0.5 * gradients)
+    return np.nan_to_num(value, nan=np.inf)
+
+
+def _back_to_rest(before: Sequence[StepOf], kind: StepKind, field: Field, place: Points) -> Points:
+    """About the point at rest that earlier steps take to a place of a step (for a Cayley step: to its midpoint)."""
+    points = place - 0.5 * field.displacement(place) if kind is StepKind.CAYLEY else place
+    for earlier, earlier_field in reversed(before):
+        if earlier is StepKind.CAYLEY:
+            points = 2.0 * solve(earlier_field, points, factor=0.5, goals=np.zeros(len(points))) - points
+        else:
+            points = solve(earlier_field, points, factor=1.0, goals=np.zeros(len(points)))
+    return points

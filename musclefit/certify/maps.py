@@ -1,0 +1,287 @@
+r"""The map certificate: every step of a deformation is one-to-one on what the steps before made of the body.
+
+It takes steps as pairs of a kind and a field and the body's skin, recomputes everything from them, and knows nothing of
+how they were made.
+
+**Claim.** Let A be everything inside the skin: its surface and all points that no path leads to infinity from without
+crossing it. CERTIFIED means that the composition of the steps, in exact arithmetic on the fields as they stand, is
+defined on A, one-to-one and keeps orientation. (The mesh sees only its vertices: deformed triangles may still cross.)
+
+**One explicit step** U = id + D. On a convex domain on which every eigenvalue of sym(grad D) is above -1, U is
+strictly monotone, (U(a) - U(b)) . (a - b) > 0, hence one-to-one. Fields whose gradient jumps at single points are still
+integrals of it along segments. The margin is 1 + the proved infimum of the eigenvalue.
+
+**One Cayley step** U = (id + D/2) o F^-1, F = id - D/2. On a convex domain B on which all eigenvalues are within
+(-2, 2), both factors are strictly monotone, so one-to-one. It is left to show that A lies in F(B). `covers` finds balls
+such that the midpoint of each point of the skin lies in one; B is their hull, so the skin lies in F(B). B is convex and
+compact and F a homeomorphism of it onto F(B), so the complement of F(B) is connected (Jordan-Brouwer). A point of A
+outside F(B) could be joined to infinity outside F(B), hence without crossing the skin: it would not be inside.
+The margin is 1 - the proved supremum of |eigenvalue| / 2.
+
+**Composition.** U takes A onto a compact set whose boundary lies in the image of the skin (invariance of domain), hence
+inside that image and in the convex hull of any cover of it. So step j + 1 is proved on the hull of the balls to which
+the steps before took the balls around the skin's vertices.
+
+**Without a skin** the body is the axis-aligned box around the given points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from musclefit.certify.boxes import BoxProof, prove
+from musclefit.certify.covers import (
+    Cover,
+    Midpoints,
+    Patches,
+    box_patches,
+    cayley_image,
+    cayley_midpoints,
+    explicit_image,
+    skin_patches,
+)
+from musclefit.certify.domains import Hull
+from musclefit.certify.folds import Inside, find_fold
+from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
+from musclefit.certify.strain import Condition
+from musclefit.errors import InputError
+from musclefit.fields.protocol import Field
+from musclefit.geometry.arrays import Bool, Points
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.winding import winding_numbers
+from musclefit.progress import Progress, Silent, Tick
+from musclefit.rig.model import StepKind
+from musclefit.validate.model import MapClaim
+
+MAX_BOXES = 400_000
+"""Boxes that a certificate may examine, over all steps."""
+
+MARGIN_SHARE = 0.5
+"""A certified margin is at least this share of the sampled one, where the budget lasts."""
+
+MAX_SPLITS = 6
+"""Times that a piece of the surface is cut in four before its midpoint is given up."""
+
+MAX_PATCHES = 400_000
+"""Pieces of the surface."""
+
+WIDEST_BALL = 1e3
+"""Times the size of the body: wider covers are given up."""
+
+
+def certify_map(
+    steps: Sequence[tuple[StepKind, Field]],
+    skin: TriMesh | Points,
+    *,
+    max_boxes: int = MAX_BOXES,
+    margin_share: float = MARGIN_SHARE,
+    progress: Progress | None = None,
+) -> MapCertificate:
+    """Prove that a composition of steps is one-to-one and orientation keeping inside the skin, or that it is not.
+
+    Parameters
+    ----------
+    steps : sequence of (StepKind, Field)
+        First step first.
+    skin : TriMesh, or (N, n) float64, mm
+        The body's closed surface at rest; or points, and the body is the axis-aligned box around them.
+    max_boxes : int
+        Budget over all steps. When it is spent on a step that is not proved yet, the claim is UNDECIDED.
+    margin_share : float
+        In [0, 1): how much of the smallest sampled margin the proved one must reach; larger costs more boxes. A budget
+        that does not reach it, but a positive margin everywhere, certifies that.
+
+    Returns
+    -------
+    MapCertificate
+        See the module for what its claim means. A failing sufficient condition without a fold is UNDECIDED.
+
+    Raises
+    ------
+    MeshError
+        The skin is not closed.
+    InputError
+        No points, points that are not finite, or a budget or share out of range.
+    """
+    if max_boxes < 1 or not 0.0 <= margin_share < 1.0:
+        raise InputError(
+            f"max_boxes is {max_boxes} and margin_share {margin_share}; they must be at least 1, and in [0, 1)"
+        )
+    body = _Body.of(skin)
+    found: list[StepCertificate] = []
+    fold: tuple[Fold, ...] = ()
+    with (progress or Silent()).stage("certify the map") as tick:
+        for number, (kind, field) in enumerate(steps):
+            budget = max_boxes - sum(step.boxes_examined for step in found)
+            trial = _Trial(kind, field, body)
+            share_done = _part(tick, number, len(steps))
+            proof = trial.prove(budget, margin_share, share_done)
+            step = trial.certificate(proof)
+            if step.claim is not MapClaim.CERTIFIED:
+                starts, stride = trial.suspects(proof)
+                fold = find_fold(steps, number, starts, stride=stride, inside=body.inside)
+                found.append(replace(step, claim=MapClaim.REFUTED) if fold else step)
+                break
+            found.append(step)
+            if number + 1 < len(steps):
+                body.move(kind, field, trial.midpoints)
+    return _summary(tuple(found), fold, max_boxes)
+
+
+class _Body:
+    """The body's surface in pieces at rest, and the balls to which the steps so far take them."""
+
+    def __init__(self, patches: Patches, inside: Inside) -> None:
+        self.patches, self.inside = patches, inside
+        self.cover = patches.cover()
+        self.steps: list[tuple[StepKind, Field]] = []
+
+    @classmethod
+    def of(cls, skin: TriMesh | Points) -> _Body:
+        """The body inside a skin, or the box around points."""
+        if isinstance(skin, TriMesh):
+            surface = skin
+            # 0.9: the winding number is off by up to 0.01; pieces of the surface that overlap count more than once.
+            return cls(skin_patches(surface), lambda places: winding_numbers(surface, places) > 0.9)
+        points = np.asarray(skin, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points) or not np.isfinite(points).all():
+            raise InputError(
+                f"points have shape {points.shape}; give finite ones of shape (N, 2) or (N, 3), N at least 1"
+            )
+        low, high = points.min(axis=0), points.max(axis=0)
+
+        def within(places: Points) -> Bool:
+            inside: Bool = ((places >= low) & (places <= high)).all(axis=1)
+            return inside
+
+        return cls(box_patches(points), within)
+
+    def midpoints(self, field: Field) -> Midpoints:
+        """Where a Cayley step has the midpoints of the surface; pieces without a proved one are cut smaller first."""
+        found = cayley_midpoints(field, self.cover)
+        for _ in range(MAX_SPLITS):
+            open_pieces = ~found.found & np.isfinite(self.cover.radii)
+            if not open_pieces.any() or len(self.patches.corners) + 3 * open_pieces.sum() > MAX_PATCHES:
+                break
+            children = Patches(self.patches.corners[open_pieces]).split()
+            cover = self._carried(children)
+            self.patches = Patches(np.concatenate([self.patches.corners[~open_pieces], children.corners]))
+            self.cover = Cover(
+                np.concatenate([self.cover.points[~open_pieces], cover.points]),
+                np.concatenate([self.cover.radii[~open_pieces], cover.radii]),
+            )
+            found = found.without(open_pieces).joined(cayley_midpoints(field, cover))
+        return found
+
+    def _carried(self, patches: Patches) -> Cover:
+        """The balls to which the steps so far take pieces; of infinite radius where that is not proved."""
+        cover = patches.cover()
+        for kind, field in self.steps:
+            if kind is StepKind.EXPLICIT:
+                cover = explicit_image(field, cover)
+                continue
+            midpoints = cayley_midpoints(field, cover)
+            cover = cayley_image(field, midpoints)
+            cover = Cover(cover.points, np.where(midpoints.found, cover.radii, np.inf))
+        return cover
+
+    def move(self, kind: StepKind, field: Field, midpoints: Midpoints | None) -> None:
+        """Take the surface through a step that is proved."""
+        self.cover = explicit_image(field, self.cover) if midpoints is None else cayley_image(field, midpoints)
+        self.steps.append((kind, field))
+
+
+class _Trial:
+    """One step on the surface it moves."""
+
+    def __init__(self, kind: StepKind, field: Field, body: _Body) -> None:
+        self.kind, self.field = kind, field
+        self.midpoints: Midpoints | None = body.midpoints(field) if kind is StepKind.CAYLEY else None
+        held = body.cover if self.midpoints is None else Cover(self.midpoints.points, self.midpoints.radii)
+        kept = np.isfinite(held.points).all(axis=1) & np.isfinite(held.radii)
+        self.blocked = ""
+        if not kept.all():
+            self.blocked = "the balls that enclose the moved surface grew beyond all numbers"
+        elif self.midpoints is not None and not self.midpoints.found.all():
+            self.blocked = (
+                f"no midpoint is proved for {int(np.sum(~self.midpoints.found))} of {len(kept)} pieces of the surface"
+            )
+        elif held.radii.max() > WIDEST_BALL * float(np.ptp(held.points, axis=0).max() + 1.0):
+            self.blocked = "the balls that enclose the moved surface grew too wide"
+        self.places = held.points[kept]
+        self.hull = Hull.around(self.places, held.radii[kept])
+
+    def prove(self, max_boxes: int, margin_share: float, tick: Tick) -> BoxProof | None:
+        """Branch and bound on the step's domain; nothing where there is none."""
+        if self.blocked:
+            return None
+        return prove(
+            self.field,
+            Condition.of(self.kind),
+            self.hull,
+            max_boxes=max_boxes,
+            margin_share=margin_share,
+            tick=tick,
+        )
+
+    def certificate(self, proof: BoxProof | None) -> StepCertificate:
+        """The record of what was found, before a fold is looked for."""
+        n = len(self.hull.low)
+        if proof is None:
+            margin, place, examined, left, note = np.nan, (np.nan,) * n, 0, 0, self.blocked
+        else:
+            margin, examined, left = proof.sampled_margin, proof.examined, proof.left
+            place = _place(proof.places[0]) if len(proof.places) else (np.nan,) * n
+            note = "the sufficient condition is proved not to hold at the worst place" if proof.fails else ""
+            note = note or ("the budget of boxes is spent, or no smaller boxes help" if not proof.margin > 0.0 else "")
+        certified = proof is not None and proof.margin > 0.0
+        return StepCertificate(
+            kind=self.kind,
+            claim=MapClaim.CERTIFIED if certified else MapClaim.UNDECIDED,
+            margin=proof.margin if proof is not None and certified else margin,
+            sampled_margin=margin,
+            worst_place=place,
+            boxes_examined=examined,
+            boxes_left=left,
+            domain_low=_place(self.hull.low),
+            domain_high=_place(self.hull.high),
+            note=note,
+        )
+
+    def suspects(self, proof: BoxProof | None) -> tuple[Points, float]:
+        """Where to look for a fold first, and how far around."""
+        stride = 0.02 * float((self.hull.high - self.hull.low).max())
+        if proof is not None:
+            return proof.places, stride
+        thinned = self.places[:: max(1, len(self.places) // 256)]
+        return thinned, stride
+
+
+def _part(tick: Tick, number: int, count: int) -> Callable[[float], None]:
+    return lambda done: tick((number + done) / count)
+
+
+def _place(point: Points) -> Place:
+    return tuple(float(x) for x in point)
+
+
+def _summary(steps: tuple[StepCertificate, ...], fold: tuple[Fold, ...], max_boxes: int) -> MapCertificate:
+    """One record from the steps'; no steps at all are the identity, which is certified."""
+    if not steps:
+        return MapCertificate(MapClaim.CERTIFIED, 1.0, -1, (), 0, 0, max_boxes, ())
+    last = steps[-1]
+    worst = len(steps) - 1 if last.claim is not MapClaim.CERTIFIED else int(np.argmin([s.margin for s in steps]))
+    return MapCertificate(
+        claim=last.claim,
+        margin=steps[worst].margin,
+        worst_step=worst,
+        worst_place=steps[worst].worst_place,
+        boxes_examined=sum(step.boxes_examined for step in steps),
+        boxes_left=sum(step.boxes_left for step in steps),
+        max_boxes=max_boxes,
+        steps=steps,
+        fold=fold,
+    )

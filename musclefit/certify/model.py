@@ -1,0 +1,102 @@
+"""What certification finds, as plain records that can be kept and shown without the fields they speak of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from musclefit.rig.model import StepKind
+from musclefit.validate.model import MapClaim
+
+Place = tuple[float, ...]
+"""Coordinates of a point, mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """A point at rest, inside the body, where the map turns space inside out: proved, not sampled.
+
+    Parameters
+    ----------
+    place : Place
+        Where the point is at rest.
+    step : int
+        The step that reverses orientation, counted from 0.
+    place_in_step : Place
+        About where the steps before take the point; for a Cayley step its midpoint.
+    determinant : float
+        Below 0: a proved upper bound of det(I + grad D), or of det(I + grad D/2) det(I - grad D/2) for a Cayley step,
+        which has the sign of its Jacobian.
+    """
+
+    place: Place
+    step: int
+    place_in_step: Place
+    determinant: float
+
+
+@dataclass(frozen=True, slots=True)
+class StepCertificate:
+    """What is known of one step.
+
+    Parameters
+    ----------
+    kind : StepKind
+    claim : MapClaim
+    margin : float
+        Certified: a proved lower bound of how far the strain stays from the limit, 1 without strain, 0 at the limit.
+        Else: the smallest sampled value (NaN where nothing was sampled).
+    sampled_margin : float
+        The smallest at tested places; the proved one is at most this and the true one lies between them.
+    worst_place : Place
+        Where that is, as the body stands before this step; for a Cayley step as it stands at its midpoints.
+    boxes_examined, boxes_left : int
+        Boxes evaluated; boxes on which the condition stayed unproved.
+    domain_low, domain_high : Place
+        Bounding box of the convex domain of the proof.
+    note : str
+        Why it is not certified.
+    """
+
+    kind: StepKind
+    claim: MapClaim
+    margin: float
+    sampled_margin: float
+    worst_place: Place
+    boxes_examined: int
+    boxes_left: int
+    domain_low: Place
+    domain_high: Place
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MapCertificate:
+    """Is a composition of steps one-to-one and orientation keeping on everything inside the skin?
+
+    Parameters
+    ----------
+    claim : MapClaim
+        CERTIFIED: proved for every point inside. REFUTED: proved that orientation is reversed at ``fold``; since one
+        sign of the Jacobian belongs to a one-to-one map, the map folds (or mirrors the whole body). UNDECIDED: neither.
+    margin : float
+        Smallest over the steps; a proved lower bound when certified, else a sampled value.
+    worst_step : int
+        The step with that margin, or the one that could not be certified, counted from 0; -1 without steps.
+    worst_place : Place
+        See `StepCertificate.worst_place`.
+    boxes_examined, boxes_left, max_boxes : int
+    steps : tuple of StepCertificate
+        Up to the first that could not be certified.
+    fold : tuple of Fold
+        The counterexample, when refuted; else empty.
+    """
+
+    claim: MapClaim
+    margin: float
+    worst_step: int
+    worst_place: Place
+    boxes_examined: int
+    boxes_left: int
+    max_boxes: int
+    steps: tuple[StepCertificate, ...]
+    fold: tuple[Fold, ...] = ()

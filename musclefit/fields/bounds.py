@@ -1,0 +1,371 @@
+"""Rigorous sums over boxes and sources: enclosures of a radial field's gradient, strain and value, rounded outward.
+
+The terms come from `terms`. Nothing here is reassociated or contracted, so every operation is correctly rounded. Sums
+of m terms, each of fewer than 100 operations on parts whose absolute values add to at most ``first`` (of the gradient)
+and ``second`` (of its derivative along a unit direction), are off by at most `rounding_share` times these in each
+entry, hence 3 times that in norm; 4 is used. Coordinates local to the field's origin are off by ``blur`` (mm), which is
+added to the half diagonals and, times ``second``, to the radius.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from musclefit.fields.eigenvalues import eigenvalue_floor
+from musclefit.fields.terms import SMALL, isochoric_terms, scalar_terms, slope_bound, value_terms
+
+LANES = 32
+"""Boxes that are summed side by side."""
+
+PARTS = 31
+"""Rows of the sums of a box: gradient (9), its derivatives (3 x 6), remainders of strain and whole, first, second."""
+
+
+@njit(cache=True, error_model="numpy")
+def rounding_share(m):
+    """GAMMA(m): relative rounding of a sum of m terms, generously."""
+    return (m + 400.0) * 2.3e-16
+
+
+@njit(cache=True, error_model="numpy")
+def _add_scalar(w, dx, dy, dz, g, f, t, sums):
+    """Add one source's gradient w (g d)^T and its derivatives w_i (f delta_kl + t d_k d_l) to the rows of ``sums``."""
+    for i in range(dx.size):
+        x, y, z = dx[i], dy[i], dz[i]
+        gx, gy, gz = g[i] * x, g[i] * y, g[i] * z
+        tx, ty = t[i] * x, t[i] * y
+        xx, xy, xz = f[i] + tx * x, tx * y, tx * z
+        yy, yz, zz = f[i] + ty * y, ty * z, f[i] + t[i] * z * z
+        for k in range(3):
+            a = w[k]
+            sums[3 * k, i] += a * gx
+            sums[3 * k + 1, i] += a * gy
+            sums[3 * k + 2, i] += a * gz
+            sums[9 + 6 * k, i] += a * xx
+            sums[10 + 6 * k, i] += a * xy
+            sums[11 + 6 * k, i] += a * xz
+            sums[12 + 6 * k, i] += a * yy
+            sums[13 + 6 * k, i] += a * yz
+            sums[14 + 6 * k, i] += a * zz
+
+
+@njit(cache=True, error_model="numpy")
+def _add_isochoric(a, b, c, dx, dy, dz, r2, f2, f3, f4, sums):
+    """The same for D = -omega w + (grad d_w psi).
+
+    d_k D_i = A w_i x_k + f_3 s x_i x_k + f_2 (w_k x_i + s delta_ik), s = x . w, A = -(4 f_2 + r² f_3);
+    d_l d_k D_i = w_i P_kl + x_i Q_kl + delta_il z_k + delta_ik z_l with P = A' x x^T + A I, A' = -(6 f_3 + r² f_4),
+    Q = f_4 s x x^T + f_3 (w x^T + x w^T) + f_3 s I, z = f_3 s x + f_2 w.
+    """
+    for i in range(dx.size):
+        x, y, z = dx[i], dy[i], dz[i]
+        s = x * a + y * b + z * c
+        A = -(4.0 * f2[i] + r2[i] * f3[i])
+        slope = -(6.0 * f3[i] + r2[i] * f4[i])
+        curl = f3[i] * s
+        along = f2[i] * s
+        ux, uy, uz = A * a + curl * x, A * b + curl * y, A * c + curl * z
+        vx, vy, vz = f2[i] * x, f2[i] * y, f2[i] * z
+        sums[0, i] += ux * x + vx * a + along
+        sums[1, i] += ux * y + vx * b
+        sums[2, i] += ux * z + vx * c
+        sums[3, i] += uy * x + vy * a
+        sums[4, i] += uy * y + vy * b + along
+        sums[5, i] += uy * z + vy * c
+        sums[6, i] += uz * x + vz * a
+        sums[7, i] += uz * y + vz * b
+        sums[8, i] += uz * z + vz * c + along
+        fa, fb, fc = f3[i] * a, f3[i] * b, f3[i] * c
+        qx, qy, qz = f4[i] * s * x, f4[i] * s * y, f4[i] * s * z
+        Qxx, Qxy, Qxz = qx * x + 2.0 * fa * x + curl, qx * y + fa * y + fb * x, qx * z + fa * z + fc * x
+        Qyy, Qyz, Qzz = qy * y + 2.0 * fb * y + curl, qy * z + fb * z + fc * y, qz * z + 2.0 * fc * z + curl
+        px, py, pz = slope * x, slope * y, slope * z
+        Pxx, Pxy, Pxz, Pyy, Pyz, Pzz = px * x + A, px * y, px * z, py * y + A, py * z, pz * z + A
+        zx, zy, zz = curl * x + f2[i] * a, curl * y + f2[i] * b, curl * z + f2[i] * c
+        sums[9, i] += a * Pxx + x * Qxx + 2.0 * zx
+        sums[10, i] += a * Pxy + x * Qxy + zy
+        sums[11, i] += a * Pxz + x * Qxz + zz
+        sums[12, i] += a * Pyy + x * Qyy
+        sums[13, i] += a * Pyz + x * Qyz
+        sums[14, i] += a * Pzz + x * Qzz
+        sums[15, i] += b * Pxx + y * Qxx
+        sums[16, i] += b * Pxy + y * Qxy + zx
+        sums[17, i] += b * Pxz + y * Qxz
+        sums[18, i] += b * Pyy + y * Qyy + 2.0 * zy
+        sums[19, i] += b * Pyz + y * Qyz + zz
+        sums[20, i] += b * Pzz + y * Qzz
+        sums[21, i] += c * Pxx + z * Qxx
+        sums[22, i] += c * Pxy + z * Qxy
+        sums[23, i] += c * Pxz + z * Qxz + zx
+        sums[24, i] += c * Pyy + z * Qyy
+        sums[25, i] += c * Pyz + z * Qyz + zy
+        sums[26, i] += c * Pzz + z * Qzz + 2.0 * zz
+
+
+@njit(cache=True, error_model="numpy")
+def _sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, h, sums):
+    """Sums of a block of boxes: ``boxes`` (3, L) centres local to the origin, ``h`` (L,) half diagonals with blur."""
+    lanes = h.size
+    dx, dy, dz, r2 = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    g, f, t = np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    strain, whole, first, second = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    sums[:, :] = 0.0
+    middle, block = _enclosing_ball(boxes, h)
+    for j in range(sizes.size):
+        x, y, z = sources[0, j], sources[1, j], sources[2, j]
+        if reach < np.inf:  # compact: no box of the block within the support
+            away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2
+            if away * (1.0 - 1e-12) > (block + reach) ** 2:
+                continue
+        for i in range(lanes):
+            dx[i], dy[i], dz[i] = boxes[0, i] - x, boxes[1, i] - y, boxes[2, i] - z
+            r2[i] = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i]
+        size = sizes[j]
+        if isochoric:
+            isochoric_terms(code, scale, extent, table, r2, h, g, f, t, strain, whole, first, second)
+            _add_isochoric(weights[0, j], weights[1, j], weights[2, j], dx, dy, dz, r2, g, f, t, sums)
+            for i in range(lanes):
+                sums[27, i] += size * strain[i]
+                sums[28, i] += size * whole[i]
+                sums[29, i] += size * first[i]
+                sums[30, i] += size * second[i]
+        else:
+            scalar_terms(code, scale, extent, table, r2, h, g, f, t, strain, first, second)
+            _add_scalar(weights[:, j], dx, dy, dz, g, f, t, sums)
+            for i in range(lanes):
+                sums[27, i] += size * strain[i]
+                sums[28, i] += size * strain[i]
+                sums[29, i] += size * first[i]
+                sums[30, i] += size * second[i]
+    parts = np.abs(linear).sum()
+    for i in range(lanes):
+        sums[29, i] += parts
+        for k in range(9):
+            sums[k, i] += linear[k // 3, k % 3]
+
+
+@njit(cache=True, error_model="numpy")
+def _enclosing_ball(boxes, h):
+    """A ball around all boxes of a block."""
+    middle = np.empty(3)
+    for k in range(3):
+        middle[k] = 0.5 * (boxes[k].min() + boxes[k].max())
+    radius = 0.0
+    for i in range(h.size):
+        x, y, z = boxes[0, i] - middle[0], boxes[1, i] - middle[1], boxes[2, i] - middle[2]
+        radius = max(radius, np.sqrt(x * x + y * y + z * z) + h[i])
+    return middle, radius * (1.0 + 1e-12)
+
+
+@njit(cache=True, error_model="numpy")
+def _half_diagonals(half_widths, balls, start, stop, blur):
+    """The farthest that a point of a box is from its centre, where it stays within the ball around it."""
+    h = np.empty(stop - start)
+    for i in range(start, stop):
+        x, y, z = half_widths[i, 0], half_widths[i, 1], half_widths[i, 2]
+        h[i - start] = min(np.sqrt(x * x + y * y + z * z), balls[i]) * (1.0 + 1e-15) + blur
+    return h
+
+
+@njit(cache=True, error_model="numpy")
+def _slack(sums, i, h, m, blur):
+    """Rounding of the matrix and of its derivatives over the box, and the blur of coordinates."""
+    return 4.0 * rounding_share(m) * (sums[29, i] + h * sums[30, i]) + blur * sums[30, i] + SMALL
+
+
+@njit(cache=True, error_model="numpy")
+def _derivative_square(sums, i):
+    """Sup over unit e of the squared Frobenius norm of the gradient's derivative along e: an eigenvalue of its Gram."""
+    gram = np.zeros(6)  # xx, yy, zz, xy, xz, yz
+    for k in range(3):
+        r = 9 + 6 * k
+        a, b, c, d, e, f = sums[r, i], sums[r + 1, i], sums[r + 2, i], sums[r + 3, i], sums[r + 4, i], sums[r + 5, i]
+        gram[0] += a * a + b * b + c * c
+        gram[1] += b * b + d * d + e * e
+        gram[2] += c * c + e * e + f * f
+        gram[3] += a * b + b * d + c * e
+        gram[4] += a * c + b * e + c * f
+        gram[5] += b * c + d * e + e * f
+    return -eigenvalue_floor(-gram[0], -gram[1], -gram[2], -gram[3], -gram[4], -gram[5])
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def gradient_boxes(
+    code,
+    isochoric,
+    scale,
+    extent,
+    table,
+    reach,
+    sources,
+    weights,
+    sizes,
+    linear,
+    boxes,
+    half_widths,
+    balls,
+    blur,
+    gradients,
+    radii,
+):
+    """Enclose the gradient over boxes: ``gradients`` (B, 3, 3) and ``radii`` (B,) are written.
+
+    ``boxes`` (B, 3) centres and ``sources`` (3, m) are local to the field's origin; ``sizes`` (m,) are at least the
+    lengths of the ``weights`` (3, m); ``reach`` is the support of a compact kernel, else infinite. ``balls`` (B,): only
+    points of a box that are within this distance of its centre count; infinite for all.
+    """
+    count, m = boxes.shape[0], sizes.size
+    for block in prange((count + LANES - 1) // LANES):
+        start, stop = block * LANES, min(count, (block + 1) * LANES)
+        h = _half_diagonals(half_widths, balls, start, stop, blur)
+        sums = np.empty((PARTS, stop - start))
+        where = np.ascontiguousarray(boxes[start:stop].T)
+        _sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
+        for i in range(stop - start):
+            half = half_widths[start + i]
+            longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
+            for corner in range(4):
+                sy, sz = half[1] * (1 - 2 * (corner & 1)), half[2] * (1 - (corner & 2))
+                square = 0.0
+                for k in range(3):
+                    r = 9 + 6 * k
+                    ux = half[0] * sums[r, i] + sy * sums[r + 1, i] + sz * sums[r + 2, i]
+                    uy = half[0] * sums[r + 1, i] + sy * sums[r + 3, i] + sz * sums[r + 4, i]
+                    uz = half[0] * sums[r + 2, i] + sy * sums[r + 4, i] + sz * sums[r + 5, i]
+                    square += ux * ux + uy * uy + uz * uz
+                longest = max(longest, square)
+            if balls[start + i] < np.inf:
+                longest = min(longest, balls[start + i] ** 2 * _derivative_square(sums, i))
+            for k in range(9):
+                gradients[start + i, k // 3, k % 3] = sums[k, i]
+            slack = _slack(sums, i, h[i], m, blur)
+            radii[start + i] = (np.sqrt(longest) + sums[28, i] + slack) * (1.0 + rounding_share(m))
+            if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
+                radii[start + i] = np.inf
+
+
+@njit(cache=True, error_model="numpy")
+def _strain(sums, i, row, planar, out):
+    """The strain of the whole gradient (row 0) or of its derivative along axis row - 1: (xx, yy, zz, xy, xz, yz).
+
+    In the plane the third eigenvalue is set to the mean of the other two, so that it is never the smallest or largest.
+    """
+    if row == 0:
+        out[0], out[1], out[2] = sums[0, i], sums[4, i], sums[8, i]
+        out[3] = 0.5 * (sums[1, i] + sums[3, i])
+        out[4] = 0.5 * (sums[2, i] + sums[6, i])
+        out[5] = 0.5 * (sums[5, i] + sums[7, i])
+    else:
+        # entry (k, l) of component n stands in row 9 + 6 n + PLACE[k, l]
+        x, y, z = 0, 1, 2
+        if row == 2:
+            x, y, z = 1, 3, 4
+        elif row == 3:
+            x, y, z = 2, 4, 5
+        out[0], out[1], out[2] = sums[9 + x, i], sums[15 + y, i], sums[21 + z, i]
+        out[3] = 0.5 * (sums[9 + y, i] + sums[15 + x, i])
+        out[4] = 0.5 * (sums[9 + z, i] + sums[21 + x, i])
+        out[5] = 0.5 * (sums[15 + z, i] + sums[21 + y, i])
+    if planar:
+        out[2], out[4], out[5] = 0.5 * (out[0] + out[1]), 0.0, 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _strain_square(parts):
+    """Sup over unit e of the squared Frobenius norm of the strain's derivative along e."""
+    gram = np.empty((3, 3))
+    for k in range(3):
+        for n in range(k + 1):
+            a, b = parts[k + 1], parts[n + 1]
+            gram[k, n] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + 2.0 * (a[3] * b[3] + a[4] * b[4] + a[5] * b[5])
+    return -eigenvalue_floor(-gram[0, 0], -gram[1, 1], -gram[2, 2], -gram[1, 0], -gram[2, 0], -gram[2, 1])
+
+
+@njit(cache=True, error_model="numpy")
+def _corner_floor(parts, half, ball, sign, quick):
+    """Floor of sign times the eigenvalues of parts[0] + sum of e_k parts[k + 1] over |e_k| <= half_k, and at e = 0.
+
+    The smallest eigenvalue is concave in the matrix, hence smallest at a corner of the box. The corners are left out
+    when a bound by Frobenius norms already gives ``quick``; so they are where only the ball |e| <= ``ball`` counts.
+    """
+    m = sign * parts[0]
+    middle = eigenvalue_floor(m[0], m[1], m[2], m[3], m[4], m[5])
+    deviation = 0.0
+    for corner in range(4):
+        d = half[0] * parts[1]
+        d = d + half[1] * (1 - 2 * (corner & 1)) * parts[2] + half[2] * (1 - (corner & 2)) * parts[3]
+        square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + 2.0 * (d[3] * d[3] + d[4] * d[4] + d[5] * d[5])
+        deviation = max(deviation, square)
+    deviation = np.sqrt(deviation) * (1.0 + 1e-14)
+    if ball < np.inf:
+        deviation = min(deviation, ball * np.sqrt(_strain_square(parts)) * (1.0 + 1e-14))
+    if deviation == 0.0 or middle - deviation >= quick or ball < np.inf:
+        return middle, middle - deviation
+    lowest = np.inf
+    for corner in range(8):
+        d = half[0] * (1 - 2 * (corner & 1)) * parts[1] + half[1] * (1 - (corner & 2)) * parts[2]
+        d = m + sign * (d + half[2] * (1 - (corner & 4) // 2) * parts[3])
+        lowest = min(lowest, eigenvalue_floor(d[0], d[1], d[2], d[3], d[4], d[5]))
+    return middle, max(lowest, middle - deviation)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def strain_boxes(
+    code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur, planar,
+    enough, bounds, middles,
+):  # fmt: skip
+    """Bound the eigenvalues of the strain over boxes: ``bounds`` and ``middles`` (B, 2) are written.
+
+    Every eigenvalue anywhere in box b is within ``bounds[b]``. ``middles[b]`` is about the range at its centre (near
+    sources whose gradient jumps, without them). ``enough`` (2,): bounds at least that good need no tightening.
+    """
+    count, m = boxes.shape[0], sizes.size
+    for block in prange((count + LANES - 1) // LANES):
+        start, stop = block * LANES, min(count, (block + 1) * LANES)
+        h = _half_diagonals(half_widths, balls, start, stop, blur)
+        sums = np.empty((PARTS, stop - start))
+        where = np.ascontiguousarray(boxes[start:stop].T)
+        _sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
+        parts = np.empty((4, 6))
+        for i in range(stop - start):
+            for row in range(4):
+                _strain(sums, i, row, planar, parts[row])
+            loss = (sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
+            half = half_widths[start + i]
+            middle, low = _corner_floor(parts, half, balls[start + i], 1.0, enough[0] + loss)
+            bounds[start + i, 0], middles[start + i, 0] = low - loss, middle
+            middle, low = _corner_floor(parts, half, balls[start + i], -1.0, loss - enough[1])
+            bounds[start + i, 1], middles[start + i, 1] = loss - low, -middle
+            if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
+                bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def values(code, isochoric, scale, slope, sources, weights, sizes, points, blur, out, errors):
+    """Write the radial sum at points (N, 3) local to the origin to ``out``, and its rounding error to ``errors`` (N,).
+
+    ``slope``: the constant of the kernel's sup |grad D| per unit of weight (see `slope_bound`).
+    """
+    m = sizes.size
+    for i in prange(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u, v, w, parts, steep = 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(m):
+            dx, dy, dz = x - sources[0, j], y - sources[1, j], z - sources[2, j]
+            r = np.sqrt(dx * dx + dy * dy + dz * dz)
+            a, b, c = weights[0, j], weights[1, j], weights[2, j]
+            f, g, size = value_terms(code, scale, r)
+            if isochoric:
+                s = g * (dx * a + dy * b + dz * c)
+                u += f * a + s * dx
+                v += f * b + s * dy
+                w += f * c + s * dz
+            else:
+                u += f * a
+                v += f * b
+                w += f * c
+            parts += sizes[j] * size
+            steep += sizes[j] * slope_bound(code, slope, r + 2.0 * blur)
+        out[i, 0], out[i, 1], out[i, 2] = u, v, w
+        errors[i] = (4.0 * rounding_share(m) * parts + blur * steep) * (1.0 + rounding_share(m)) + SMALL

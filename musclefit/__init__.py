@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from musclefit.anatomy.builtin import upper_limb
     from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
-    from musclefit.anatomy.tetrahedra import tetrahedralise
     from musclefit.geometry.meshes import TetMesh, TriMesh
     from musclefit.geometry.rigid import RigidMotion
+    from musclefit.io.ftetwild import tetrahedralise
     from musclefit.io.landmarks import read_landmarks
     from musclefit.io.rigs import find_rig, read_rig
     from musclefit.io.runs import prepared_tets, save
@@ -37,7 +37,7 @@ _HOMES = {
     "read_rig": "io.rigs",
     "retarget": "pipeline.retarget",
     "save": "io.runs",
-    "tetrahedralise": "anatomy.tetrahedra",
+    "tetrahedralise": "io.ftetwild",
     "upper_limb": "anatomy.builtin",
 }
 

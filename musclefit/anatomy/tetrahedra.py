@@ -1,21 +1,21 @@
 """Tetrahedra of all tissues together: anatomy in, one mesh that the tissues share out; knows no motion.
 
 All surfaces go into one tetrahedralisation, so that neighbouring tissues share their interface faces: while no tet
-inverts and the mesh's boundary does not cross itself, no two tissues can intersect.
+inverts and the mesh's boundary does not cross itself, no two tissues can intersect. What tetrahedralises is handed in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-import pytetwild
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.arrays import Float, Int, Points, Tets, frozen
+from musclefit.geometry.arrays import Faces, Float, Int, Points, Tets, frozen
 from musclefit.geometry.meshes import TetMesh
 from musclefit.geometry.volumes import enclosed_volume, signed_volumes
 from musclefit.geometry.winding import winding_numbers
@@ -23,11 +23,6 @@ from musclefit.progress import Progress
 
 LABELLED_VOLUME_PERCENT = 2.0
 """A tissue whose tets fill its surface less exactly than this is reported as a finding, percent."""
-
-OPTIMISATION_PASSES = 3
-"""Passes of the tetrahedraliser over its mesh; the first does most, each costs about a quarter of the first."""
-STOP_ENERGY = 30.0
-"""The tetrahedraliser stops early when no tet has a conformal AMIPS energy above this (3 for a regular tet)."""
 
 _INNERMOST_LAST = (TissueKind.SKIN, TissueKind.OTHER, TissueKind.MUSCLE, TissueKind.BONE)
 
@@ -89,13 +84,32 @@ class TetAnatomy:
         return np.bincount(self.tissue_of_tet, weights=volumes, minlength=len(self.anatomy)).astype(np.float64)
 
 
-def tetrahedralise(
-    anatomy: Anatomy, *, edge_length_fraction: float, envelope_fraction: float, progress: Progress
+class Tetrahedraliser(Protocol):
+    """Fills surfaces (n, 3) float64 mm, (f, 3) int64 with tetrahedra of one orientation, around and inside all of them.
+
+    Both fractions are of the bounding box's diagonal, as `tetrahedralise_with` takes them.
+    """
+
+    def __call__(
+        self, vertices: Points, faces: Faces, /, *, edge_length_fraction: float, envelope_fraction: float
+    ) -> tuple[Points, Tets]:
+        """(m, 3) vertices, mm, and (k, 4) tets."""
+        ...
+
+
+def tetrahedralise_with(
+    fill: Tetrahedraliser,
+    anatomy: Anatomy,
+    *,
+    edge_length_fraction: float,
+    envelope_fraction: float,
+    progress: Progress,
 ) -> TetAnatomy:
     """Fill all tissues with tetrahedra in one go, and say which tet belongs to which tissue.
 
     Parameters
     ----------
+    fill : Tetrahedraliser
     anatomy : Anatomy
     edge_length_fraction : float in (0, 1]
         Edge length aimed at, as a fraction of the bounding box's diagonal.
@@ -116,16 +130,19 @@ def tetrahedralise(
         A fraction is out of range.
     MeshError
         No tet lies in a tissue.
-
-    References
-    ----------
-    Y. Hu et al., Fast tetrahedral meshing in the wild, ACM Trans. Graph. 39 (2020) 117.
     """
     for name, value in (("edge_length_fraction", edge_length_fraction), ("envelope_fraction", envelope_fraction)):
         if not 0.0 < value <= 1.0:
             raise InputError(f"{name} is {value}; give a fraction of the bounding box's diagonal, above 0 and up to 1")
     with progress.stage("tetrahedralise"):
-        vertices, tets = _fill(anatomy, edge_length_fraction=edge_length_fraction, envelope_fraction=envelope_fraction)
+        vertices, tets = fill(
+            anatomy.vertices(),
+            _faces(anatomy),
+            edge_length_fraction=edge_length_fraction,
+            envelope_fraction=envelope_fraction,
+        )
+    if len(tets) and np.median(signed_volumes(vertices, tets)) < 0.0:
+        tets = tets[:, [0, 2, 1, 3]]
     with progress.stage("label tets") as tick:
         labels = np.full(len(tets), -1, dtype=np.int64)
         barycentres = vertices[tets].mean(axis=1)
@@ -185,26 +202,10 @@ def labelling_findings(anatomy: Anatomy, *, mesh: TetMesh, tissue_of_tet: Int) -
     return tuple(findings)
 
 
-def _fill(anatomy: Anatomy, *, edge_length_fraction: float, envelope_fraction: float) -> tuple[Points, Tets]:
-    """Right-handed tets around and inside all surfaces."""
-    counts = [len(tissue.surface.vertices) for tissue in anatomy]
-    offsets = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([t.surface.faces + offset for t, offset in zip(anatomy, offsets, strict=True)])
-    vertices, tets = pytetwild.tetrahedralize(
-        np.array(anatomy.vertices(), dtype=np.float64),
-        np.array(faces, dtype=np.int32),
-        edge_length_fac=edge_length_fraction,
-        epsilon=envelope_fraction,
-        simplify=False,  # well-shaped triangles are mostly Delaunay already; simplified ones cut tets to shreds
-        num_opt_iter=OPTIMISATION_PASSES,
-        stop_energy=STOP_ENERGY,
-        quiet=True,
-    )
-    vertices = np.array(vertices, dtype=np.float64)
-    tets = np.array(tets, dtype=np.int64)
-    if len(tets) and np.median(signed_volumes(vertices, tets)) < 0.0:
-        tets = tets[:, [0, 2, 1, 3]]
-    return vertices, tets
+def _faces(anatomy: Anatomy) -> Faces:
+    """(F, 3) faces of all tissues, into ``anatomy.vertices()``."""
+    starts = [part.start for part in anatomy.slices().values()]
+    return np.concatenate([t.surface.faces + start for t, start in zip(anatomy, starts, strict=True)])
 
 
 def _outermost_first(anatomy: Anatomy) -> Sequence[tuple[int, Tissue]]:

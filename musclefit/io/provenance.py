@@ -25,12 +25,12 @@ def versions() -> dict[str, str]:
 
 
 def peak_memory_mb() -> float:
-    """Largest resident memory of this process so far, MB (10⁶ bytes); NaN where the platform does not tell."""
+    """Largest resident memory of this process, or of one it ran, so far, MB (10⁶ bytes); NaN where nothing tells it."""
     if sys.platform == "win32":
         return float("nan")
     import resource
 
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return float(peak) * (1e-6 if sys.platform == "darwin" else 1.024e-3)
 
 

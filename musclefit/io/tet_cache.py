@@ -19,9 +19,10 @@ import numpy as np
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
-from musclefit.anatomy.tetrahedra import OPTIMISATION_PASSES, STOP_ENERGY, TetAnatomy, tetrahedralise
+from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TetMesh
+from musclefit.io.ftetwild import OPTIMISATION_PASSES, STOP_ENERGY, tetrahedralise
 from musclefit.progress import Progress
 from musclefit.rig.model import TetSettings
 

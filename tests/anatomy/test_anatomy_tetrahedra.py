@@ -13,11 +13,11 @@ from musclefit.anatomy.tetrahedra import (
     LABELLED_VOLUME_PERCENT,
     TetAnatomy,
     labelling_findings,
-    tetrahedralise,
 )
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.volumes import enclosed_volume, signed_volumes
+from musclefit.io.ftetwild import tetrahedralise
 from musclefit.progress import Silent
 
 QUIET = Silent()

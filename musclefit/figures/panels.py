@@ -36,11 +36,6 @@ class Marks:
     determinants: Mapping[str, Float] = field(default_factory=dict)
     overlaps: tuple[TriMesh, ...] = ()
 
-    @property
-    def any(self) -> bool:
-        """Whether there is something to draw."""
-        return bool(self.overlaps) or any(bool(_folds(d).any()) for d in self.determinants.values())
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Panel:

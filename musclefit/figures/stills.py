@@ -11,10 +11,13 @@ import pyvista as pv
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError
-from musclefit.figures.camera import View, principal_views
+from musclefit.figures.camera import principal_views
 from musclefit.figures.colours import tissue_colours
 from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshot, tissue_panels
 from musclefit.figures.rendering import rendering_problem
+
+
+__all__ = ["Marks", "Stills", "stills"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,6 +122,3 @@ def _require_same_tissues(panels: list[Panel]) -> None:
                 f"{panel.title} and rest have different tissues ({', '.join(differing)}); "
                 "pictures compare the same tissues"
             )
-
-
-__all__ = ["Marks", "Stills", "View", "stills"]

@@ -31,6 +31,8 @@ SURFACES, PICTURES, TETS = "surfaces", "pictures", "tets.vtu"
 
 _NAME_BYTES = 100
 """Longest file name made of a tissue's, without its ending; file systems end at 255 bytes."""
+_SOLID = 3
+"""Dimension of a tissue made of tetrahedra."""
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}
 
 
@@ -53,7 +55,16 @@ def check_writable(folder: Path) -> None:
     InputError
         Something else is there, or nothing can be created beside it.
     """
-    target = _resolved(folder)
+    try:
+        _require_free(_resolved(folder), folder)
+    except OSError as error:
+        raise InputError(
+            f"the output folder {folder} cannot be written ({error.strerror}: {error.filename}); name another"
+        ) from error
+
+
+def _require_free(target: Path, folder: Path) -> None:
+    """``check_writable`` for the folder that ``folder`` stands for; what the system refuses is an OSError."""
     if target.exists():
         if not target.is_dir():
             raise InputError(f"the output folder {folder} is a file; name a folder that does not exist yet")
@@ -64,15 +75,9 @@ def check_writable(folder: Path) -> None:
             )
         if any(target.iterdir()):
             _former_files(target, folder)
-    home = _existing_parent(target)
-    trial = home / f".{target.name}.trial-{uuid.uuid4().hex}"
-    try:
-        trial.mkdir()
-        trial.rmdir()
-    except OSError as error:
-        raise InputError(
-            f"the output folder {folder} cannot be written: {error.strerror} in {home}; name a folder elsewhere"
-        ) from error
+    trial = _existing_parent(target) / f".{target.name}.trial-{uuid.uuid4().hex}"
+    trial.mkdir()
+    trial.rmdir()
 
 
 def write_run(
@@ -180,20 +185,25 @@ def ply_bytes(mesh: TriMesh) -> bytes:
 
 
 def surface_with_displacements(rest: Tissue, deformed: Tissue, *, frame: str) -> Any:
-    """The deformed surface as PolyData, with ``displacement_mm`` and ``rest_position_mm`` at its points."""
+    r"""The deformed surface as PolyData, with ``displacement_mm`` and ``rest_position_mm`` at its points.
+
+    ``name``, ``kind`` and ``frame`` are field data; VTK's text is ASCII, so anything else stands as ``\u8171``.
+    """
     surface = pv.PolyData.from_regular_faces(np.array(deformed.surface.vertices), np.array(deformed.surface.faces))
     surface.point_data["displacement_mm"] = deformed.surface.vertices - rest.surface.vertices
     surface.point_data["rest_position_mm"] = np.array(rest.surface.vertices)
     for key, text in (("name", deformed.name), ("kind", deformed.kind.value), ("frame", frame)):
-        surface.field_data[key] = [text]
+        surface.field_data[key] = [_escaped(text)]
     return surface
 
 
 def labelled_tets(tets: DeformedTets) -> Any:
     """The deformed tetrahedra as UnstructuredGrid.
 
-    Cells carry ``tissue`` (index into the field array ``tissue_names``) and ``volume_ratio`` (deformed over rest; zero
-    or below where inverted); points carry ``displacement_mm`` and ``rest_position_mm``.
+    Cells carry ``tissue`` (an index) and ``volume_ratio`` (deformed over rest; zero or below where inverted); points
+    carry ``displacement_mm`` and ``rest_position_mm``. For each tissue a field array, named as its surface files are,
+    holds its index and the dimension 3. So do Gmsh and meshio name numbers; text would keep meshio from reading the
+    file, and VTK escapes no name.
     """
     mesh = tets.rest.mesh
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: np.array(mesh.tets)}, np.array(tets.vertices))
@@ -201,8 +211,8 @@ def labelled_tets(tets: DeformedTets) -> Any:
     grid.cell_data["volume_ratio"] = signed_volumes(tets.vertices, mesh.tets) / signed_volumes(mesh.vertices, mesh.tets)
     grid.point_data["displacement_mm"] = tets.vertices - mesh.vertices
     grid.point_data["rest_position_mm"] = np.array(mesh.vertices)
-    grid.field_data["tissue_names"] = [tissue.name for tissue in tets.rest.anatomy]
-    grid.field_data["tissue_kinds"] = [tissue.kind.value for tissue in tets.rest.anatomy]
+    for index, safe in enumerate(file_names([tissue.name for tissue in tets.rest.anatomy]).values()):
+        grid.field_data[_escaped(safe)] = np.array([index, _SOLID], dtype=np.int64)
     return grid
 
 
@@ -279,6 +289,11 @@ def _existing_parent(target: Path) -> Path:
 
 def _resolved(folder: Path) -> Path:
     return Path(os.path.realpath(folder))
+
+
+def _escaped(text: str) -> str:
+    """The text in ASCII, as VTK needs it; ``unicode_escape`` brings it back."""
+    return text.encode("unicode_escape").decode("ascii")
 
 
 def _plain_name(name: str) -> str:

@@ -69,6 +69,9 @@ def worst_first(tissues: tuple[TissueCheck, ...], limits: Limits) -> tuple[Tissu
     return tuple(sorted(tissues, key=lambda t: (-_strain(t, limits), -_size(t.volume_change_percent), t.name)))
 
 
+_NO_ROOM = 1e-200
+"""Stands for a limit of zero, so that the shares of it still tell more from less."""
+
 _ROWS = (
     ("Folds", "folded points", "points"),
     ("Folds", "smallest det J at a point", ""),
@@ -120,11 +123,9 @@ def _strain(tissue: TissueCheck, limits: Limits) -> float:
 
 
 def _share(value: float | None, limit: float) -> float:
-    """How much of the limit a value uses; infinite when missing, or when there is no room at all."""
+    """How much of the limit a value uses; infinite when missing."""
     size = _size(value)
-    if size == 0 or math.isinf(size):
-        return size
-    return size / limit if limit > 0 else math.inf
+    return size if math.isinf(size) else size / max(limit, _NO_ROOM)
 
 
 def _size(value: float | None) -> float:

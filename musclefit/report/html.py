@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
@@ -19,6 +20,7 @@ from musclefit.validate.model import Check, PairOverlap, TissueCheck
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 _THIN = "\N{NARROW NO-BREAK SPACE}"
+_SPACE = "\N{NO-BREAK SPACE}"
 _MISSING = "not measured"
 
 
@@ -84,7 +86,7 @@ def number(value: float | None) -> str:
 def amount(value: float | None, unit: str) -> str:
     """A number with its unit."""
     text = number(value)
-    return f"{text}{_THIN}{unit}" if unit and text not in (_MISSING, "–") else text
+    return f"{text}{_SPACE}{unit}" if unit and text not in (_MISSING, "–") else text
 
 
 def seconds(value: float) -> str:
@@ -92,7 +94,12 @@ def seconds(value: float) -> str:
     if not math.isfinite(value) or value < 120:
         return amount(value, "s")
     whole = round(value)
-    return f"{whole // 60}{_THIN}min {whole % 60:02d}{_THIN}s"
+    return f"{whole // 60}{_SPACE}min {whole % 60:02d}{_SPACE}s"
+
+
+def breakable(name: str) -> Markup:
+    """A name, escaped, that may be broken after each underscore."""
+    return Markup("_<wbr>").join(name.split("_"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +126,7 @@ def _render(template: str, page: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "amount": amount, "seconds": seconds}
+    environment.filters |= {"number": number, "amount": amount, "seconds": seconds, "breakable": breakable}
     return environment.get_template(template).render(page)
 
 

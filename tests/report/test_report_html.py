@@ -1,0 +1,164 @@
+"""The page: nothing from outside, every name escaped, every fault in sight."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from musclefit.anatomy.findings import Finding
+from musclefit.errors import InputError
+from musclefit.report.html import PNG_SIGNATURE, number, render_html, render_inspection, seconds
+from musclefit.report.model import MeshReport, TissueSummary
+from musclefit.validate.model import NotChecked, OverlapCheck, PairOverlap
+
+HOSTILE = '"><script>alert(1)</script>&<img src=x onerror=alert(2)>{{ 7*7 }}'
+PNG = PNG_SIGNATURE + b"rest"
+
+
+class _Reader(HTMLParser):
+    """Collects tags and text, and checks that tags close in order."""
+
+    VOID = frozenset({"meta", "br", "img", "wbr", "link", "input", "hr"})
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.tags, self.sources, self.words = [], [], [], []
+        self.feed(page)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        assert not [name for name, _ in attrs if name.startswith("on")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", "".join(self.words))
+
+
+def test_a_page_needs_nothing_from_outside(make_report, make_side):
+    page = render_html(make_report(baseline=make_side()), pictures={"Front": PNG, "Side": PNG})
+    read = _Reader(page)
+    assert len(read.sources) == 2
+    assert all(source.startswith("data:image/png;base64,") for source in read.sources)
+    assert not {"script", "link", "iframe"} & set(read.tags)
+    assert not re.findall(r"url\(|@import|https?://", page)
+
+
+def test_every_name_is_escaped(make_report, make_side, make_tissue):
+    side = make_side(
+        method=HOSTILE,
+        status=HOSTILE,
+        tissues=(make_tissue(HOSTILE, "muscle", volume_change_percent=9.0), make_tissue("b", "bone")),
+        overlaps=OverlapCheck((PairOverlap(HOSTILE, "b", 0, 2, 2),), 1, (NotChecked(HOSTILE, HOSTILE),)),
+        mesh=replace(make_side().mesh, inverted=1, inverted_by_tissue=((HOSTILE, 1),)),
+        landmarks=replace(make_side().landmarks, worst=HOSTILE),
+    )
+    report = make_report(
+        title=HOSTILE,
+        result=side,
+        baseline=side,
+        findings=(Finding(HOSTILE, HOSTILE, HOSTILE),),
+        timings_s={HOSTILE: 1.0},
+        provenance={HOSTILE: [HOSTILE]},
+    )
+    read = _Reader(render_html(report, pictures={HOSTILE: PNG}, pictures_problem=HOSTILE))
+    assert "script" not in read.tags
+    assert read.tags.count("img") == 1
+    assert read.text.count("alert(1)") >= 12
+    assert "{{ 7*7 }}" in read.text
+    inspected = MeshReport(HOSTILE, HOSTILE, (TissueSummary(HOSTILE, "bone", 1, 1, 1.0, None),), (), side.overlaps)
+    assert "script" not in _Reader(render_inspection(inspected)).tags
+
+
+def test_the_banner_says_passed_or_what_failed(make_report, make_side, make_tissue):
+    assert "All 11 checks are within their limits." in _Reader(render_html(make_report(), pictures={})).text
+    side = make_side(status="the step budget ran out", tissues=(make_tissue("ulna", "bone", rigidity_mm=2.5),))
+    text = _Reader(render_html(make_report(result=side), pictures={})).text
+    assert "not converged: the step budget ran out" in text
+    assert "bone off rigid: 2.5\u00a0mm (ulna); the limit is 0.01\u00a0mm" in text.replace(" mm", "\u00a0mm")
+    assert "Passed" not in text
+
+
+def test_what_is_missing_is_told(make_report, make_side, make_tissue):
+    side = make_side(
+        mesh=None,
+        tissues=(make_tissue("m", "muscle", volume_change_percent=math.nan),),
+        overlaps=OverlapCheck((), 0, (NotChecked("m", "crosses itself at 3 faces"),)),
+    )
+    text = _Reader(render_html(make_report(result=side), pictures={}, pictures_problem="no OpenGL library")).text
+    for told in (
+        "No pictures: no OpenGL library.",
+        "no bone, no skin, no tetrahedra",
+        "crosses itself at 3 faces",
+        "muscle volume change: not measured (m)",
+        "No pair of tissues overlaps.",
+    ):
+        assert told in text
+
+
+def test_pairs_of_both_sides_are_listed_largest_first(make_report, make_side):
+    result = make_side(overlaps=OverlapCheck((PairOverlap("a", "b", 0, 1, 1), PairOverlap("c", "d", 0, 5, 5)), 9, ()))
+    baseline = make_side(overlaps=OverlapCheck((PairOverlap("e", "f", 0, 70, 70),), 9, ()))
+    page = render_html(make_report(result=result, baseline=baseline), pictures={})
+    section = page[page.index("<h2>Overlapping pairs") : page.index("<h2>Tissues")]
+    assert re.findall(r'<td class="name">(.)</td><td class="name">(.)</td>', section) == [
+        ("c", "d"),
+        ("a", "b"),
+        ("e", "f"),
+    ]
+
+
+def test_a_picture_that_is_no_png_is_refused(make_report):
+    with pytest.raises(InputError, match="'Front' is not a PNG"):
+        render_html(make_report(), pictures={"Front": b"GIF89a"})
+
+
+def test_inspection_lists_tissues_overlaps_and_findings():
+    tissues = (TissueSummary("skin", "skin", 8, 12, 1234567.0, None), TissueSummary("b", "bone", 8, 12, 5.0, 3.0))
+    overlaps = OverlapCheck((PairOverlap("skin", "b", 2.0, 2.0, 0.0),), 1, ())
+    report = MeshReport("arm", "mm", tissues, (Finding("b", "cut", "b: 4 squares cut"),), overlaps)
+    text = _Reader(render_inspection(report)).text
+    for told in ("2 of 3 checks are beyond", "1 of 1 tested", "b: 4 squares cut", "outside skin: 3"):
+        assert told in text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (-0.8, "−0.8"),
+        (3.2e-8, "3.2 × 10⁻⁸"),
+        (1234567.0, "1\u202f234\u202f567"),
+        (0.99999, "1"),
+        (9.99996, "10"),
+        (999.96, "1\u202f000"),
+        (100.0, "100"),
+        (2.5e12, "2.5 × 10¹²"),
+        (math.nan, "not measured"),
+        (-math.inf, "−∞"),
+        (None, "–"),
+        (7, "7"),
+    ],
+)
+def test_numbers_are_readable(value, text):
+    assert number(value) == text
+
+
+def test_durations_are_readable():
+    assert seconds(1.25) == "1.25\u00a0s"
+    assert seconds(119.99999) == "120\u00a0s"
+    assert seconds(605.4) == "10\u00a0min 05\u00a0s"

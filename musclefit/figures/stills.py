@@ -16,7 +16,6 @@ from musclefit.figures.colours import tissue_colours
 from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshot, tissue_panels
 from musclefit.figures.rendering import rendering_problem
 
-
 __all__ = ["Marks", "Stills", "stills"]
 
 

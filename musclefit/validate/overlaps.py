@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
+from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import (
     ROUNDING_MM3,
@@ -101,6 +102,9 @@ def check_overlaps(
     OverlapCheck
         ``pairs_tested`` counts all pairs of which both volumes are known, those with boxes apart included.
         A tissue that is wholly inside another at rest introduces nothing: it cannot overlap it more.
+        ``not_checked`` also names each tissue that crosses itself deformed and did not at rest: its pairs are listed,
+        but where it is inside out its overlaps count negative and may cancel. (Tissues that cross themselves at rest
+        are the reader's findings.)
 
     Raises
     ------
@@ -121,7 +125,11 @@ def check_overlaps(
     return OverlapCheck(
         pairs=_largest_first(pairs),
         pairs_tested=len(solid) * (len(solid) - 1) // 2 - len(near) + len(known),
-        not_checked=(*_refusals(names, (before, "at rest"), (after, "deformed")), *failed),
+        not_checked=(
+            *_refusals(names, (before, "at rest"), (after, "deformed")),
+            *_newly_crossing(before, after, solid, progress=progress),
+            *failed,
+        ),
     )
 
 
@@ -140,7 +148,7 @@ def check_outside_skin(
     Returns
     -------
     OutsideCheck
-        Without tissues, and with the reason, where there is no skin or the skin is no solid.
+        Empty where there is no skin; without tissues, and with the reason, where the skin is no solid.
         A tissue that is wholly outside at rest introduces nothing.
 
     Raises
@@ -152,7 +160,7 @@ def check_outside_skin(
     _require_same_tissues(before.anatomy, after.anatomy)
     skin = before.anatomy.skin
     if skin is None:
-        return OutsideCheck((), (NotChecked("skin", "the anatomy has no skin, so nothing can be outside it"),))
+        return OutsideCheck((), ())
     names = _names_without_skin(before.anatomy)
     refused = _refusals((skin.name, *names), (before, "at rest"), (after, "deformed"))
     if skin.name not in before.solids or skin.name not in after.solids:
@@ -237,6 +245,26 @@ def _volumes(
                 failed.append(NotChecked(f"{a} / {b}", f"{measure.title} {when}: {error}"))
             tick((number + 1) / len(pairs))
     return volumes, tuple(failed)
+
+
+def _newly_crossing(
+    before: SolidAnatomy, after: SolidAnatomy, names: Sequence[str], *, progress: Progress
+) -> tuple[NotChecked, ...]:
+    """Tissues whose surface crosses itself deformed, but not at rest."""
+    found = []
+    with progress.stage("tissues that cross themselves") as tick:
+        for number, name in enumerate(names):
+            count = len(self_crossings(after.anatomy[name].surface))
+            if count and not len(self_crossings(before.anatomy[name].surface)):
+                found.append(
+                    NotChecked(
+                        name,
+                        f"deformed: crosses itself at {count} pairs of triangles, and did not at rest; where it is "
+                        "inside out its overlaps count negative and may cancel",
+                    )
+                )
+            tick((number + 1) / len(names))
+    return tuple(found)
 
 
 def _solid(anatomy: Anatomy | SolidAnatomy, progress: Progress) -> SolidAnatomy:

@@ -67,13 +67,16 @@ class Deformation:
 
     def jacobian(self, points: Points) -> Gradients:
         """(N, n, n) derivatives of the whole map at (N, n) points, by the chain rule."""
+        return self.with_jacobian(points)[1]
+
+    def with_jacobian(self, points: Points) -> tuple[Points, Gradients]:
+        """Moved points and derivatives in one pass."""
         moved = np.array(points, dtype=np.float64)
         whole: Gradients = np.broadcast_to(np.eye(points.shape[1]), (len(points), *(points.shape[1],) * 2)).copy()
-        for k, step in enumerate(self.steps):
-            whole = step.jacobian(moved) @ whole
-            if k + 1 < len(self.steps):
-                moved = step(moved)
-        return whole
+        for step in self.steps:
+            trial = step.trial(moved)
+            moved, whole = trial.moved, step.jacobian_from(trial.gradients) @ whole
+        return moved, whole
 
     def inverse(self) -> Deformation:
         """The map that undoes this one: inverse steps in reverse order."""

@@ -12,7 +12,7 @@ from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Gradients, Points
 
 NEWTON_TOLERANCE_MM = 1e-11
-"""An implicit step is solved when its equation holds to this, relative to coordinates of up to a metre."""
+"""An implicit step is solved when its equation holds to this at coordinates up to a metre (in proportion beyond)."""
 NEWTON_MAX_ITERATIONS = 30
 
 
@@ -44,6 +44,10 @@ class Step(Protocol):
         """Moved points and the gradients that its rule judges, in one pass."""
         ...
 
+    def jacobian_from(self, gradients: Gradients) -> Gradients:
+        """The step's Jacobian at points whose trial gave these gradients."""
+        ...
+
     def inverse(self) -> Step:
         """The step that undoes this one."""
         ...
@@ -67,6 +71,10 @@ class ExplicitStep:
         """Moved points, and the gradients at the points themselves."""
         displacement, gradients = self.field.displacement_and_gradient(points)
         return Trial(points + displacement, gradients)
+
+    def jacobian_from(self, gradients: Gradients) -> Gradients:
+        """I + grad D."""
+        return np.eye(gradients.shape[-1]) + gradients
 
     def inverse(self) -> InverseStep:
         """The inverse map, found point by point with Newton's method."""
@@ -92,16 +100,19 @@ class InverseStep:
 
     def __call__(self, points: Points) -> Points:
         """Move (N, n) points back, mm."""
-        return _newton(self.of.field, points, factor=1.0)
+        return self.trial(points).moved
 
     def jacobian(self, points: Points) -> Gradients:
         """The inverse of I + grad D at the points found."""
-        return np.asarray(np.linalg.inv(self.of.jacobian(self(points))), dtype=np.float64)
+        return self.jacobian_from(self.trial(points).gradients)
 
     def trial(self, points: Points) -> Trial:
         """Moved points, and the gradients there."""
-        moved = self(points)
-        return Trial(moved, self.of.field.gradient(moved))
+        return Trial(*_newton(self.of.field, points, factor=1.0))
+
+    def jacobian_from(self, gradients: Gradients) -> Gradients:
+        """The inverse of I + grad D."""
+        return np.asarray(np.linalg.inv(self.of.jacobian_from(gradients)), dtype=np.float64)
 
     def inverse(self) -> ExplicitStep:
         """The step that this one undoes."""
@@ -125,56 +136,56 @@ class CayleyStep:
 
     def __call__(self, points: Points) -> Points:
         """Move (N, n) points, mm."""
-        return 2.0 * self._midpoints(points) - points
+        return self.trial(points).moved
 
     def jacobian(self, points: Points) -> Gradients:
         """(I + G/2)(I - G/2)^-1 with G the gradient at the midpoints."""
-        return _cayley(self.field.gradient(self._midpoints(points)))
+        return self.jacobian_from(self.trial(points).gradients)
 
     def trial(self, points: Points) -> Trial:
         """Moved points, and the gradients at the midpoints."""
-        middle = self._midpoints(points)
-        return Trial(2.0 * middle - points, self.field.gradient(middle))
+        middle, gradients = _newton(self.field, points, factor=-0.5)
+        return Trial(2.0 * middle - points, gradients)
+
+    def jacobian_from(self, gradients: Gradients) -> Gradients:
+        """(I + G/2)(I - G/2)^-1."""
+        half = 0.5 * gradients
+        eye = np.eye(gradients.shape[-1])
+        # (I + H)(I - H)^-1 = (I - H)^-1 (I + H): they commute
+        return np.asarray(np.linalg.solve(eye - half, eye + half), dtype=np.float64)
 
     def inverse(self) -> CayleyStep:
         """The same step with the field reversed."""
         return CayleyStep(self.field.scaled(-1.0))
 
-    def _midpoints(self, points: Points) -> Points:
-        return _newton(self.field, points, factor=-0.5)
 
+def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gradients]:
+    """Solve y + factor D(y) = target for each point; gives the points and the gradients there.
 
-def _cayley(gradients: Gradients) -> Gradients:
-    half = 0.5 * gradients
-    eye = np.eye(gradients.shape[-1])
-    # (I + H)(I - H)^-1 = (I - H)^-1 (I + H): they commute
-    return np.asarray(np.linalg.solve(eye - half, eye + half), dtype=np.float64)
-
-
-def _newton(field: Field, targets: Points, *, factor: float) -> Points:
-    """Solve y + factor D(y) = target for each point; halves Newton updates that do not lower the residual."""
+    Updates that do not lower the residual are halved.
+    """
     n = targets.shape[1]
-    solution = targets - factor * field.displacement(targets)
-    open_points = np.arange(len(targets))
-    damping = np.ones(len(targets))
-    last = np.full(len(targets), np.inf)
+    solution, gradients = np.array(targets), np.empty((len(targets), n, n))
+    unsolved = np.arange(len(targets))
+    damping, last = np.ones(len(targets)), np.full(len(targets), np.inf)
     tolerance = NEWTON_TOLERANCE_MM * max(1.0, float(np.abs(targets).max(initial=0.0)) / 1000.0)
     for _ in range(NEWTON_MAX_ITERATIONS):
-        displacement, gradients = field.displacement_and_gradient(solution[open_points])
-        residual = solution[open_points] + factor * displacement - targets[open_points]
+        here = solution[unsolved]
+        displacement, slope = field.displacement_and_gradient(here)
+        residual = here + factor * displacement - targets[unsolved]
         size = np.abs(residual).max(axis=1)
-        damping[open_points] = np.where(size > last[open_points], 0.5 * damping[open_points], 1.0)
-        last[open_points] = size
-        update = np.linalg.solve(np.eye(n) + factor * gradients, residual[..., None])[..., 0]
-        solution[open_points] -= damping[open_points, None] * update
-        # The update just made squares the residual: what was below the root of the tolerance is now below it.
-        done = size**2 <= tolerance * 1e-3
-        open_points = open_points[~done]
-        if not open_points.size:
-            return solution
-    worst = int(open_points[np.argmax(last[open_points])])
+        gradients[unsolved] = slope
+        still = size > tolerance
+        if not still.any():
+            return solution, gradients
+        unsolved, here, slope, residual, size = (a[still] for a in (unsolved, here, slope, residual, size))
+        damping[unsolved] = np.where(size < last[unsolved], 1.0, 0.5 * damping[unsolved])
+        last[unsolved] = size
+        update = np.linalg.solve(np.eye(n) + factor * slope, residual[..., None])[..., 0]
+        solution[unsolved] = here - damping[unsolved, None] * update
+    worst = int(unsolved[np.argmax(last[unsolved])])
     raise NotConvergedError(
-        f"an implicit step has no solution at {open_points.size} of {len(targets)} points, first at "
+        f"an implicit step has no solution at {unsolved.size} of {len(targets)} points, first at "
         f"{np.round(targets[worst], 3).tolist()} mm (residual {last[worst]:.3g} mm); the field is too steep "
         "there for one step: use smaller steps",
         result=solution,

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracles import difference_jacobian
 
+from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import cayley_step, explicit_step, march
@@ -19,13 +20,14 @@ from musclefit.rig.handles import StraightPath
 RNG = np.random.default_rng(0)
 AT = RNG.uniform(-50.0, 50.0, (25, 3))
 MOVED = AT + RNG.normal(scale=6.0, size=AT.shape)
-TESTED = RNG.uniform(-60.0, 60.0, (500, 3))
+TESTED = RNG.uniform(-60.0, 60.0, (4000, 3))
 
 
 def marched(kernel, stepper, rule, *, scale: float = 40.0) -> Deformation:
+    backend = FfdBackend(20.0) if kernel == "ffd" else RadialBackend(kernel, scale=scale)
     deformation = march(
         StraightPath(AT, MOVED),
-        RadialBackend(kernel, scale=scale),
+        backend,
         stepper=stepper,
         rule=rule,
         tested=np.vstack([TESTED, AT]),
@@ -38,10 +40,12 @@ def marched(kernel, stepper, rule, *, scale: float = 40.0) -> Deformation:
 MAPS = {
     "paper, r2logr": marched("r2logr", explicit_step, row_norm_fractions),
     "paper, r3": marched("r3", explicit_step, row_norm_fractions),
-    "monotone, gaussian": marched("gaussian", explicit_step, monotone_fractions),
+    "monotone, inverse multiquadric": marched("inverse-multiquadric", explicit_step, monotone_fractions),
     "Cayley, r3": marched("r3", cayley_step, cayley_fractions),
     "Cayley, isochoric-r5": marched("isochoric-r5", cayley_step, cayley_fractions),
     "Cayley, mollified": marched("isochoric-r3-mollified", cayley_step, cayley_fractions, scale=5.0),
+    "paper, ffd": marched("ffd", explicit_step, row_norm_fractions),
+    "Cayley, ffd": marched("ffd", cayley_step, cayley_fractions),
     "nothing": Deformation((), (), Status.CONVERGED),
 }
 points = arrays(np.float64, (4, 3), elements=st.floats(-60.0, 60.0))
@@ -88,13 +92,13 @@ def test_points_are_moved_one_by_one(name):
     np.testing.assert_allclose(together, alone, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("kernel", ["r", "r2logr", "r3", "isochoric-r3", "isochoric-r5"])
+@pytest.mark.parametrize("kernel", ["r", "r2logr", "r3", "isochoric-r3", "isochoric-r5", "ffd"])
 @pytest.mark.parametrize("angle_deg", [10.0, 120.0, 170.0])
 def test_one_cayley_step_reproduces_any_rotation(kernel, angle_deg):
     motion = RigidMotion.about_axis(centre=np.array([5.0, 1.0, 2.0]), axis=np.array([1.0, 2.0, 3.0]), angle_deg=angle_deg)
     deformation = march(
         StraightPath(AT, motion(AT)),
-        RadialBackend(kernel),
+        FfdBackend() if kernel == "ffd" else RadialBackend(kernel),
         stepper=cayley_step,
         rule=cayley_fractions,
         tested=TESTED,

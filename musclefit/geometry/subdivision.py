@@ -1,0 +1,93 @@
+"""Splitting edges of triangle surfaces so that neighbours stay joined; knows no map and no tissue."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from musclefit.errors import MeshError
+from musclefit.geometry.arrays import Bool, Faces, Int
+from musclefit.geometry.meshes import TriMesh
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FaceEdges:
+    """The edges of a surface.
+
+    Parameters
+    ----------
+    ends : (e, 2) int64
+        Vertex numbers, the smaller first.
+    of_face : (f, 3) int64
+        Edge k of a face joins its corners k and k + 1.
+    """
+
+    ends: Int
+    of_face: Int
+
+    @classmethod
+    def of(cls, faces: Faces) -> FaceEdges:
+        """The edges of (f, 3) faces, each once."""
+        directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+        ends, of_face = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+        return cls(ends, of_face.reshape(-1, 3))
+
+
+def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:
+    """Split the marked edges at their middles, and every face that has one into two, three or four.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    edges : FaceEdges
+        Of ``mesh.faces``.
+    split : (e,) bool
+
+    Returns
+    -------
+    TriMesh
+        The old vertices keep their numbers; the middle of the k-th marked edge is ``len(mesh.vertices) + k``. The
+        surface is the same set of points, and stays closed and oriented as it was.
+
+    Raises
+    ------
+    MeshError
+        Not one mark for each edge.
+    """
+    if split.shape != (len(edges.ends),):
+        raise MeshError(f"{len(edges.ends)} edges have marks of shape {split.shape}; give one for each")
+    middle = np.full(len(edges.ends), -1, dtype=np.int64)
+    middle[split] = len(mesh.vertices) + np.arange(int(split.sum()))
+    ends = edges.ends[split]
+    vertices = np.vstack([mesh.vertices, 0.5 * (mesh.vertices[ends[:, 0]] + mesh.vertices[ends[:, 1]])])
+    return TriMesh(vertices, _split_faces(mesh.faces, middle[edges.of_face], vertices))
+
+
+def _split_faces(faces: Faces, middles: Int, vertices: np.ndarray) -> Faces:  # type: ignore[type-arg]
+    """Faces with the middles (f, 3) of their split edges (-1: whole) put in."""
+    count = (middles >= 0).sum(axis=1)
+    parts = [faces[count == 0]]
+    # Turn each face so that its pattern of split edges starts at edge 0.
+    one, m1 = _turned(faces, middles, count == 1, first=lambda m: m.argmax(axis=1))
+    a, b, c = one.T
+    p = m1[:, 0]
+    parts += [np.column_stack([a, p, c]), np.column_stack([p, b, c])]
+    two, m2 = _turned(faces, middles, count == 2, first=lambda m: (m.argmin(axis=1) + 1) % 3)
+    a, b, c = two.T
+    p, q = m2[:, 0], m2[:, 1]
+    parts.append(np.column_stack([p, b, q]))
+    short = np.linalg.norm(vertices[p] - vertices[c], axis=1) < np.linalg.norm(vertices[a] - vertices[q], axis=1)
+    across = np.where(short[:, None], np.column_stack([a, p, c]), np.column_stack([a, p, q]))
+    other = np.where(short[:, None], np.column_stack([p, q, c]), np.column_stack([a, q, c]))
+    parts += [across, other]
+    a, b, c = faces[count == 3].T
+    p, q, r = middles[count == 3].T
+    parts += [np.column_stack(t) for t in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))]
+    return np.concatenate(parts)
+
+
+def _turned(faces: Faces, middles: Int, which: Bool, *, first) -> tuple[Faces, Int]:  # type: ignore[no-untyped-def]
+    start = first(middles[which])
+    order = (start[:, None] + np.arange(3)) % 3
+    return np.take_along_axis(faces[which], order, axis=1), np.take_along_axis(middles[which], order, axis=1)

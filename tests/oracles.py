@@ -64,3 +64,13 @@ def difference_jacobian(function, points: np.ndarray, *, step: float) -> np.ndar
     n = points.shape[1]
     columns = [(function(points + step * e) - function(points - step * e)) / (2.0 * step) for e in np.eye(n)]
     return np.stack(columns, axis=-1)
+
+
+def bspline_displacement(level, x: np.ndarray) -> np.ndarray:
+    """Sum of tensor-product cubic B-splines over a lattice at one point, coefficient by coefficient."""
+    lattice, total = level.lattice, np.zeros(len(x))
+    for index in np.ndindex(*lattice.shape):
+        distances = np.abs((x - lattice.low) / lattice.spacing - np.array(index))
+        inner, outer = 2.0 / 3.0 - distances**2 + 0.5 * distances**3, np.maximum(2.0 - distances, 0.0) ** 3 / 6.0
+        total += np.prod(np.where(distances < 1.0, inner, outer)) * level.coefficients[index]
+    return total

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.deformation import Deformation
@@ -24,6 +25,7 @@ def backend_for(settings: DeformerSettings) -> Backend:
     """The backend that the settings name."""
     builders: Mapping[BackendKind, Callable[[], Backend]] = {
         BackendKind.RBF: lambda: RadialBackend(settings.kernel.value),
+        BackendKind.FFD: lambda: FfdBackend(settings.lattice_spacing_mm, settings.lattice_levels),
     }
     return builders[settings.backend]()
 
@@ -52,8 +54,16 @@ def deform_in_one_shot(job: Job, points: Points) -> Deformation:
 
 def method_in_words(settings: DeformerSettings) -> str:
     """The method, for reports."""
-    name = "iterative RBF (Yu et al. 2014)" if settings.step is StepKind.EXPLICIT else "implicit midpoint RBF"
-    return f"{name}, kernel {settings.kernel.value}, {rule_in_words(settings)}, {settings.path.value} paths"
+    name = "iterative {} (Yu et al. 2014)" if settings.step is StepKind.EXPLICIT else "implicit midpoint {}"
+    field = field_in_words(settings)
+    return f"{name.format(field)}, {rule_in_words(settings)}, {settings.path.value} paths"
+
+
+def field_in_words(settings: DeformerSettings) -> str:
+    """The backend and its own settings, for reports."""
+    if settings.backend is BackendKind.FFD:
+        return f"FFD, lattice {settings.lattice_spacing_mm:g} mm"
+    return f"RBF, kernel {settings.kernel.value}"
 
 
 def rule_in_words(settings: DeformerSettings) -> str:

@@ -14,7 +14,7 @@ from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.pipeline.deformers import deform, deform_in_one_shot, method_in_words, rule_in_words
+from musclefit.pipeline.deformers import deform, deform_in_one_shot, field_in_words, method_in_words, rule_in_words
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side
 from musclefit.rig.job import Job
@@ -120,7 +120,7 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
         tets=tets,
         result=finish(result, method=method_in_words(settings), rule=rule, stage="check result"),
         baseline=finish(
-            baseline, method=f"one-shot RBF, kernel {settings.kernel.value}", rule=rule, stage="check baseline"
+            baseline, method=f"one-shot {field_in_words(settings)}", rule=rule, stage="check baseline"
         ),
         findings=(*job.findings, *(tets.findings if tets is not None else ())),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from itertools import pairwise
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
@@ -30,6 +31,7 @@ class BackendKind(StrEnum):
     """What carries the displacement field between the handles."""
 
     RBF = "rbf"
+    FFD = "ffd"
 
 
 class Kernel(StrEnum):
@@ -159,10 +161,15 @@ Drive = LandmarkDrive | JointDrive | CageDrive
 class DeformerSettings:
     """Which field, which steps, how many.
 
+    The path is cut into ``min_steps`` stretches at least, and no step uses more than ``limit_share`` of its rule's limit.
+    ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
+    most, each of half the spacing of the one before) are for free-form deformation.
+
     Raises
     ------
     RigError
-        ``max_steps`` below 1.
+        ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a share that is not in (0, 1], or a spacing that is not
+        positive and finite.
     """
 
     backend: BackendKind = BackendKind.RBF
@@ -172,9 +179,70 @@ class DeformerSettings:
     tested_at: TestedAt = TestedAt.ALL_POINTS
     path: PathKind = PathKind.STRAIGHT
     max_steps: int = 200
+    min_steps: int = 1
+    limit_share: float = 1.0
+    lattice_spacing_mm: float = 20.0
+    lattice_levels: int = 6
 
     def __post_init__(self) -> None:
         _at_least_one("deformer.max_steps", self.max_steps)
+        _at_least_one("deformer.min_steps", self.min_steps)
+        if not 0.0 < self.limit_share <= 1.0:
+            raise RigError(f"deformer.limit_share: found {self.limit_share}; expected a share above 0 and up to 1")
+        _at_least_one("deformer.lattice_levels", self.lattice_levels)
+        if not 0.0 < self.lattice_spacing_mm < math.inf:
+            raise RigError(
+                f"deformer.lattice_spacing_mm: found {self.lattice_spacing_mm}; expected a finite spacing above 0"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class BoneSettings:
+    """Whether bones are moved by their rigid motions and the field brought to agree with them, and how.
+
+    ``handle_spacing_mm`` is how far apart the handles are that are spread over the bones beside the rig's landmarks.
+    ``supports_mm`` are the supports of the compact corrections, wide to narrow. Places of a bone that come closer than
+    ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along the bone.
+
+    Raises
+    ------
+    RigError
+        A length that is not positive and finite, or supports that do not fall.
+    """
+
+    rigid: bool = False
+    handle_spacing_mm: float = 12.0
+    supports_mm: tuple[float, ...] = (50.0, 20.0, 10.0)
+    contact_zone_mm: float = 4.0
+
+    def __post_init__(self) -> None:
+        lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
+        for key, value in (*lengths.items(), *(("supports_mm", s) for s in self.supports_mm)):
+            if not 0.0 < value < math.inf:
+                raise RigError(f"bones.{key}: found {value}; expected a finite length above 0, in mm")
+        if any(b >= a for a, b in pairwise(self.supports_mm)):
+            raise RigError(f"bones.supports_mm: found {list(self.supports_mm)}; expected falling lengths, in mm")
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceSettings:
+    """Whether surfaces are cut finer where the map bends their triangles: edges whose middle is off the map by more than
+    ``chord_tolerance_mm`` are split.
+
+    Raises
+    ------
+    RigError
+        A tolerance that is not positive and finite.
+    """
+
+    refine: bool = False
+    chord_tolerance_mm: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.chord_tolerance_mm < math.inf:
+            raise RigError(
+                f"surfaces.chord_tolerance_mm: found {self.chord_tolerance_mm}; expected a finite length above 0, in mm"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +307,8 @@ class Rig:
     anatomy: AnatomySource
     drive: Drive
     deformer: DeformerSettings = field(default_factory=DeformerSettings)
+    bones: BoneSettings = field(default_factory=BoneSettings)
+    surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
     tets: TetSettings = field(default_factory=TetSettings)
     limits: Limits = field(default_factory=Limits)
 
@@ -249,6 +319,15 @@ class Rig:
             raise RigError(
                 f'deformer.path: found "{PathKind.JOINTS}", but no joint drives this rig; write "{PathKind.STRAIGHT}", '
                 'or a [drive] of kind "joints"'
+            )
+        if self.bones.rigid and (
+            self.deformer.path is not PathKind.JOINTS
+            or self.deformer.step is not StepKind.CAYLEY
+            or self.deformer.tested_at is not TestedAt.ALL_POINTS
+        ):
+            raise RigError(
+                f'bones.rigid: bones are moved rigidly by joints: write deformer.path = "{PathKind.JOINTS}", '
+                f'deformer.step = "{StepKind.CAYLEY}" and deformer.tested_at = "{TestedAt.ALL_POINTS}", or rigid = false'
             )
 
 

@@ -17,6 +17,8 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
 from musclefit.rig.model import (
     AnatomySource,
+    BackendKind,
+    BoneSettings,
     CageDrive,
     DeformerSettings,
     Drive,
@@ -25,11 +27,23 @@ from musclefit.rig.model import (
     Limits,
     Rig,
     StepKind,
+    SurfaceSettings,
     TetSettings,
 )
 from musclefit.rig.section import Section, suggestion
 
-Record = TypeVar("Record", AnatomySource, LandmarkDrive, JointDrive, CageDrive, DeformerSettings, TetSettings, Limits)
+Record = TypeVar(
+    "Record",
+    AnatomySource,
+    LandmarkDrive,
+    JointDrive,
+    CageDrive,
+    DeformerSettings,
+    BoneSettings,
+    SurfaceSettings,
+    TetSettings,
+    Limits,
+)
 
 _POSE_SUFFIX = "_deg"
 
@@ -47,6 +61,12 @@ DRIVES: Mapping[DriveKind, type[LandmarkDrive] | type[JointDrive] | type[CageDri
     DriveKind.JOINTS: JointDrive,
     DriveKind.CAGE: CageDrive,
 }
+
+_IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
+    BackendKind.RBF: ("lattice_spacing_mm", "lattice_levels"),
+    BackendKind.FFD: ("kernel",),
+}
+"""Keys of the deformer that a backend has no use for."""
 
 _OPEN = ("anatomy.kinds", "drive.pose")
 """Tables whose keys the user chooses."""
@@ -74,16 +94,18 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
         would have no effect, or a key that is missing. The message starts with the file and the dotted key.
     """
     root = Section(table, source)
-    root.refuse_unknown(("title", "anatomy", "drive", "deformer", "tets", "limits"))
+    root.refuse_unknown(("title", "anatomy", "drive", "deformer", "bones", "surfaces", "tets", "limits"))
     root.require(("title", "anatomy", "drive"))
     title = root.text("title")
     anatomy = _anatomy(root.section("anatomy"))
     drive = _drive(root.section("drive"))
     deformer = _deformer(_optional(root, "deformer"))
+    bones = _record(BoneSettings, _optional(root, "bones"))
+    surfaces = _record(SurfaceSettings, _optional(root, "surfaces"))
     tets = _record(TetSettings, _optional(root, "tets"))
     limits = _record(Limits, _optional(root, "limits"))
     try:
-        return Rig(title, anatomy, drive, deformer, tets, limits)
+        return Rig(title, anatomy, drive, deformer, bones, surfaces, tets, limits)
     except RigError as error:
         raise RigError(f"{source}: {error}") from None
 
@@ -129,6 +151,8 @@ def known_keys() -> tuple[str, ...]:
         "anatomy": (AnatomySource,),
         "drive": tuple(DRIVES.values()),
         "deformer": (DeformerSettings,),
+        "bones": (BoneSettings,),
+        "surfaces": (SurfaceSettings,),
         "tets": (TetSettings,),
         "limits": (Limits,),
     }
@@ -176,6 +200,9 @@ def _drive(section: Section) -> Drive:
 
 def _deformer(section: Section) -> DeformerSettings:
     settings = _record(DeformerSettings, section)
+    for key in _IDLE_KEYS[settings.backend]:
+        if key in section:
+            raise section.error(key, f'has no effect on backend "{settings.backend}"; remove it')
     if settings.step is not StepKind.EXPLICIT and "step_rule" in section:
         raise section.error(
             "step_rule", f'has no effect on "{settings.step}" steps, which have a rule of their own; remove it'
@@ -209,6 +236,8 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
     if hint == tuple[str, ...]:
         return _listed(section, key)
+    if hint == tuple[float, ...]:
+        return section.numbers(key)
     if issubclass(hint, StrEnum):
         return section.choice(key, hint)
     readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}

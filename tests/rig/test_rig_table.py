@@ -123,7 +123,7 @@ WRONG = {
     "titel": (rig_table(titel="x"), "arm.toml: titel: unknown key; did you mean 'title'"),
     "kernal": (
         rig_table(deformer__kernal="r3"),
-        "arm.toml: deformer.kernal: unknown key; did you mean 'kernel'.*backend, kernel, max_steps, path",
+        "arm.toml: deformer.kernal: unknown key; did you mean 'kernel'.*backend, kernel, lattice_levels, lattice_spacing_mm, max_steps, path",
     ),
     "far from any": (rig_table(limits__qqq=1), "arm.toml: limits.qqq: unknown key; known: bone_rigidity_mm"),
     "drive key": (rig_table(drive__posee=1), r"arm.toml: drive.posee: unknown key; did you mean 'pose'\?"),
@@ -207,7 +207,7 @@ WRONG = {
     ),
     "unknown backend": (
         rig_table(deformer__backend="spline"),
-        "arm.toml: deformer.backend: found 'spline'; known: rbf",
+        "arm.toml: deformer.backend: found 'spline'; known: ffd, rbf",
     ),
     "unknown unit": (
         rig_table(anatomy__units="inch"),

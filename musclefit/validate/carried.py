@@ -12,10 +12,14 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import refined_to
 from musclefit.geometry.volumes import area_vectors, enclosed_volume
 
-SETTLED_MM3 = 0.002
-"""A mapped volume is settled when the last refinement changed it by less than this (or by SETTLED_RELATIVE), mm³."""
+SETTLED_MM3 = 0.02
+"""A mapped volume is settled when the last refinement changed it by less than this (or by SETTLED_RELATIVE), mm³.
+
+Measured on 270 overlaps of a segmented forearm that was flexed: a limit of 0.05 left 0.011 mm³ at most and 0.02 mm³ in
+sum, against a limit of 0.002.
+"""
 SETTLED_RELATIVE = 1e-6
-"""See SETTLED_MM3; matters only from 2,000 mm³ on."""
+"""See SETTLED_MM3; matters only from 20,000 mm³ on."""
 START_EDGE_MM = 5.0
 """Longer edges are split before the first estimate, so that no bend of the map hides between vertices, mm."""
 MAX_TRIANGLES = 1_000_000

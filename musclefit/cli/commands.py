@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json as json_text
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
@@ -17,7 +19,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.cli.progress import TimedStages
 from musclefit.cli.summary import print_inspection, print_run
 from musclefit.errors import InputError, MusclefitError
-from musclefit.io.outputs import check_writable, write_inspection
+from musclefit.io.outputs import REPORT_JSON, check_writable, write_inspection
 from musclefit.io.provenance import measured
 from musclefit.io.rigs import builtin_rigs, find_rig, read_rig
 from musclefit.io.runs import prepared_tets, save
@@ -25,9 +27,9 @@ from musclefit.io.surfaces import read_anatomy
 from musclefit.pipeline.inspect import inspect
 from musclefit.pipeline.retarget import retarget
 from musclefit.report.schema import to_json
-from musclefit.rig.model import Unit
+from musclefit.rig.model import BackendKind, Unit
 
-PASSED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
 DEMO_RIG = "upper_limb"
 
@@ -35,20 +37,25 @@ app = App(
     name="musclefit",
     help="Foldover-free retargeting of layered musculoskeletal models, with a report that proves it.",
     version=musclefit.__version__,
-    help_epilogue=f"Built-in rigs: {', '.join(builtin_rigs())}. "
-    "Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written.",
+    help_epilogue="Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written.",
+    default_parameter=Parameter(negative=(), show_default=False),
+    usage="Usage: musclefit COMMAND [OPTIONS]",
 )
 
-Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; a former run there is replaced.")]
-Quiet = Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON instead of a summary.")]
-NoTets = Annotated[bool, Parameter(name="--no-tets", negative="", help="Do not tetrahedralise.")]
+Quiet = Annotated[bool, Parameter(name="--quiet", help="Print nothing but errors.")]
+Json = Annotated[bool, Parameter(name="--json", help="Print report.json instead of a summary.")]
+NoTets = Annotated[
+    bool, Parameter(name="--no-tets", help="Make no tetrahedra: quicker, and no check for inverted ones.")
+]
 
 
-@app.command
+@app.command(sort_key=1)
 def demo(
     *,
-    out: Out = Path("musclefit-out/demo"),
+    out: Annotated[
+        Path,
+        Parameter(name="--out", help="Folder for the results; a former run there is replaced.", show_default=True),
+    ] = Path("musclefit-out/demo"),
     no_tets: NoTets = False,
     quiet: Quiet = False,
     json: Json = False,
@@ -57,16 +64,32 @@ def demo(
     return _run(find_rig(DEMO_RIG), (), out=out, no_tets=no_tets, quiet=quiet, json=json)
 
 
-@app.command
+@app.command(sort_key=2)
 def run(
-    rig: Annotated[str, Parameter(help="A rig file, or the name of a built-in rig.")],
+    rig: Annotated[str, Parameter(help=f"A rig file, or the name of a built-in rig: {', '.join(builtin_rigs())}.")],
+    /,
     *,
     out: Annotated[
-        Path | None, Parameter(name="--out", help="Folder; default: musclefit-out/ and the rig's name.")
+        Path | None,
+        Parameter(
+            name="--out",
+            help="Folder for the results; a former run there is replaced. Without it: musclefit-out/ and the rig's "
+            "name.",
+        ),
     ] = None,
-    backend: Annotated[str, Parameter(help="Field backend; the same as --set deformer.backend=...")] = "",
+    backend: Annotated[
+        str,
+        Parameter(
+            name="--backend",
+            help=f"What carries the displacements: {', '.join(BackendKind)}; the same as --set deformer.backend=...",
+        ),
+    ] = "",
     set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...], Parameter(name="--set", help="key=value, as in the rig file; may be given again.")
+        tuple[str, ...],
+        Parameter(
+            name="--set",
+            help="key=value: replace one value of the rig file, such as deformer.kernel=r3. May be given again.",
+        ),
     ] = (),
     no_tets: NoTets = False,
     quiet: Quiet = False,
@@ -79,16 +102,30 @@ def run(
     return _run(path, overrides, out=folder, no_tets=no_tets, quiet=quiet, json=json)
 
 
-@app.command
+@app.command(sort_key=3)
 def check(
-    paths: Annotated[list[Path], Parameter(help="A folder of surfaces, or surface files.")],
+    paths: Annotated[
+        list[Path], Parameter(help="A folder of closed surfaces, or the files: PLY, STL, OBJ, VTP; one per tissue.")
+    ],
+    /,
     *,
     out: Annotated[
-        Path | None, Parameter(name="--out", help="Folder for the report; without it, only printed.")
+        Path | None,
+        Parameter(
+            name="--out",
+            help="Folder for the report; a former one there is replaced. Without it, the report is only printed.",
+        ),
     ] = None,
-    units: Annotated[Unit, Parameter(help="Length unit of the files.")] = Unit.MILLIMETRE,
+    units: Annotated[
+        Literal["mm", "cm", "m"], Parameter(name="--units", help="Length unit of the files.", show_default=True)
+    ] = "mm",
     kind: Annotated[
-        tuple[str, ...], Parameter(name="--kind", help="pattern=kind, ahead of what names say; may be given again.")
+        tuple[str, ...],
+        Parameter(
+            name="--kind",
+            help="name=kind: what a tissue is, ahead of what its file name says; the name may be a pattern, the kind "
+            f"is {', '.join(TissueKind)}. May be given again.",
+        ),
     ] = (),
     quiet: Quiet = False,
     json: Json = False,
@@ -98,13 +135,13 @@ def check(
         check_writable(out)
     with TimedStages(shown=not quiet) as stages:
         source = paths[0] if len(paths) == 1 and paths[0].is_dir() else paths
-        read = read_anatomy(source, units=units, kinds=_kinds(kind), progress=stages)
+        read = read_anatomy(source, units=Unit(units), kinds=_kinds(kind), progress=stages)
         found = inspect(read.anatomy, findings=read.findings, title=str(paths[0]), progress=stages)
     report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
     if out is not None:
         write_inspection(out, report)
     if json:
-        print(json_text.dumps(to_json(report), indent=2, allow_nan=False))
+        _print_json(to_json(report) if out is None else _written(out))
     elif not quiet:
         print_inspection(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
@@ -117,6 +154,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str, or None for those of the process
     """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError):  # names that the terminal cannot show must not end a run
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         result = app(
             list(sys.argv[1:] if arguments is None else arguments),
@@ -124,8 +164,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print_error=False,
             result_action="return_value",
         )
-    except (MusclefitError, CycloptsError) as error:
+        sys.stdout.flush()
+    except CycloptsError as error:
+        return _refuse(f"{error} See musclefit --help")
+    except MusclefitError as error:
         return _refuse(str(error))
+    except BrokenPipeError:  # whoever read our output has had enough, such as head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         return _refuse(f"{error.strerror or error}{where}; check the path, its permissions and the free space")
@@ -143,10 +189,19 @@ def _run(rig: Path, overrides: Sequence[str], *, out: Path, no_tets: bool, quiet
         result = retarget(job, tets=tets, progress=stages)
         report = save(result, out, seconds=stages.seconds, progress=stages)
     if json:
-        print(json_text.dumps(to_json(report), indent=2, allow_nan=False))
+        _print_json(_written(out))
     elif not quiet:
         print_run(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
+
+
+def _written(folder: Path) -> Any:
+    """The report as it was written, with the files beside it."""
+    return json_text.loads((folder / REPORT_JSON).read_text(encoding="utf-8"))
+
+
+def _print_json(report: Any) -> None:
+    print(json_text.dumps(report, indent=2, allow_nan=False))
 
 
 def _kinds(given: Sequence[str]) -> tuple[tuple[str, TissueKind], ...]:
@@ -154,7 +209,8 @@ def _kinds(given: Sequence[str]) -> tuple[tuple[str, TissueKind], ...]:
     for text in given:
         pattern, _, kind = text.partition("=")
         if not pattern or kind not in set(TissueKind):
-            raise InputError(f"--kind {text!r}: write pattern=kind with kind one of {', '.join(TissueKind)}")
+            known = ", ".join(TissueKind)
+            raise InputError(f"--kind {text!r}: write name=kind, for example femur=bone; known kinds: {known}")
         kinds.append((pattern, TissueKind(kind)))
     return tuple(kinds)
 

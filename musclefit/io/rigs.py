@@ -137,7 +137,8 @@ def find_rig(name_or_path: str | Path) -> Path:
         return builtin_rig_path(name_or_path)
     if not path.is_file():
         built_in = ", ".join(builtin_rigs())
-        raise RigError(f"{path}: no such rig file; give a path, or the name of a built-in rig: {built_in}")
+        problem = "is a folder; name the rig file in it" if path.is_dir() else "no such rig file; give a path"
+        raise RigError(f"{path}: {problem}, or the name of a built-in rig: {built_in}")
     return path
 
 

@@ -202,12 +202,19 @@ def _expanded(patterns: Sequence[Path]) -> list[Path]:
 def _by_name(paths: Sequence[Path]) -> dict[str, Path]:
     named: dict[str, Path] = {}
     for path in paths:
+        if not _is_text(path.name):
+            raise InputError(f"{path.parent}: the name of the file {path.name!r} is not UTF-8 text; rename the file")
         if path.stem in named:
             raise InputError(
                 f"{named[path.stem]} and {path} would both be the tissue {path.stem!r}; rename one, or name only one"
             )
         named[path.stem] = path
     return named
+
+
+def _is_text(name: str) -> bool:
+    """Whether a file's name is what it seems, and not bytes that stand for no characters."""
+    return not any("\udc80" <= character <= "\udcff" for character in name)
 
 
 def _kind(name: str, path: Path, kinds: Sequence[tuple[str, TissueKind]]) -> tuple[TissueKind, tuple[Finding, ...]]:

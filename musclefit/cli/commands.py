@@ -19,15 +19,10 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.cli.progress import TimedStages
 from musclefit.cli.summary import print_inspection, print_run
 from musclefit.errors import InputError, MusclefitError
-from musclefit.io.outputs import REPORT_JSON, check_writable, write_inspection
-from musclefit.io.provenance import measured
-from musclefit.io.rigs import builtin_rigs, find_rig, read_rig
-from musclefit.io.runs import prepared_tets, save
-from musclefit.io.surfaces import read_anatomy
-from musclefit.pipeline.inspect import inspect
-from musclefit.pipeline.retarget import retarget
-from musclefit.report.schema import to_json
+from musclefit.io.rig_names import builtin_rigs, find_rig
 from musclefit.rig.model import BackendKind, Unit
+
+# The commands import what reads and computes when they need it, so that slips are told at once.
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
@@ -131,12 +126,20 @@ def check(
     json: Json = False,
 ) -> int:
     """Report the overlaps and mesh faults of a layered anatomy as it is."""
+    from musclefit.io.outputs import check_writable, write_inspection
+    from musclefit.io.surfaces import read_anatomy
+
     if out is not None:
         check_writable(out)
     with TimedStages(shown=not quiet) as stages:
         source = paths[0] if len(paths) == 1 and paths[0].is_dir() else paths
         read = read_anatomy(source, units=Unit(units), kinds=_kinds(kind), progress=stages)
+        from musclefit.pipeline.inspect import inspect
+
         found = inspect(read.anatomy, findings=read.findings, title=str(paths[0]), progress=stages)
+    from musclefit.io.provenance import measured
+    from musclefit.report.schema import to_json
+
     report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
     if out is not None:
         write_inspection(out, report)
@@ -182,9 +185,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(rig: Path, overrides: Sequence[str], *, out: Path, no_tets: bool, quiet: bool, json: bool) -> int:
+    from musclefit.io.outputs import check_writable
+    from musclefit.io.rigs import read_rig
+
     check_writable(out)
     with TimedStages(shown=not quiet) as stages:
         job = read_rig(rig, overrides=overrides, progress=stages)
+        from musclefit.io.runs import prepared_tets, save
+        from musclefit.pipeline.retarget import retarget
+
         tets = None if no_tets else prepared_tets(job, progress=stages)
         result = retarget(job, tets=tets, progress=stages)
         report = save(result, out, seconds=stages.seconds, progress=stages)
@@ -197,6 +206,8 @@ def _run(rig: Path, overrides: Sequence[str], *, out: Path, no_tets: bool, quiet
 
 def _written(folder: Path) -> Any:
     """The report as it was written, with the files beside it."""
+    from musclefit.io.outputs import REPORT_JSON
+
     return json_text.loads((folder / REPORT_JSON).read_text(encoding="utf-8"))
 
 

@@ -11,13 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyvista as pv
 
 from musclefit.anatomy.model import Anatomy, Tissue
-from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
@@ -25,6 +23,9 @@ from musclefit.geometry.volumes import signed_volumes
 from musclefit.report.html import render_html, render_inspection
 from musclefit.report.model import MeshReport, Report
 from musclefit.report.schema import Json, to_json
+
+if TYPE_CHECKING:
+    from musclefit.anatomy.tetrahedra import TetAnatomy
 
 REPORT_JSON, REPORT_HTML = "report.json", "report.html"
 SURFACES, PICTURES, TETS = "surfaces", "pictures", "tets.vtu"
@@ -189,6 +190,8 @@ def surface_with_displacements(rest: Tissue, deformed: Tissue, *, frame: str) ->
 
     ``name``, ``kind`` and ``frame`` are field data; VTK's text is ASCII, so anything else stands as ``\u8171``.
     """
+    import pyvista as pv  # slow to import, and not needed to refuse a folder
+
     surface = pv.PolyData.from_regular_faces(np.array(deformed.surface.vertices), np.array(deformed.surface.faces))
     surface.point_data["displacement_mm"] = deformed.surface.vertices - rest.surface.vertices
     surface.point_data["rest_position_mm"] = np.array(rest.surface.vertices)
@@ -205,6 +208,8 @@ def labelled_tets(tets: DeformedTets) -> Any:
     holds its index and the dimension 3. So do Gmsh and meshio name numbers; text would keep meshio from reading the
     file, and VTK escapes no name.
     """
+    import pyvista as pv
+
     mesh = tets.rest.mesh
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: np.array(mesh.tets)}, np.array(tets.vertices))
     grid.cell_data["tissue"] = np.array(tets.rest.tissue_of_tet)

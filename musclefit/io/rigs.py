@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import musclefit
-from musclefit.anatomy.builtin import BUILTIN
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
@@ -17,6 +15,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.landmarks import LandmarkTable, paired, read_landmarks
 from musclefit.io.named_files import NamedFiles
+from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.io.surfaces import read_anatomy, read_surface
 from musclefit.io.tables import parse_table, parse_toml
 from musclefit.progress import Progress, Silent
@@ -36,6 +35,8 @@ from musclefit.rig.model import CageDrive, Drive, JointDrive, LandmarkDrive, Rig
 from musclefit.rig.section import suggestion
 from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table import apply_overrides, parse_rig
+
+__all__ = ["builtin_rig_path", "builtin_rigs", "find_rig", "read_rig"]
 
 _SILENT = Silent()
 
@@ -97,49 +98,6 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
         joints=motions.joints if motions else None,
         overrides=tuple(overrides),
     )
-
-
-def builtin_rigs() -> tuple[str, ...]:
-    """The names of the rigs that come with musclefit, sorted."""
-    return tuple(sorted(path.stem for path in _rigs_folder().glob("*.toml")))
-
-
-def builtin_rig_path(name: str) -> Path:
-    """The file of a rig that comes with musclefit.
-
-    Raises
-    ------
-    RigError
-        No rig of that name; the message lists those that exist.
-    """
-    if name not in builtin_rigs():
-        raise RigError(f"no rig is named {name!r}; {suggestion(name, builtin_rigs())}")
-    return _rigs_folder() / f"{name}.toml"
-
-
-def _rigs_folder() -> Path:
-    """The folder of the built-in rigs: inside the installed package, or beside it in a checkout."""
-    package = Path(musclefit.__file__).resolve().parent
-    packed = package / "rigs"
-    return packed if packed.is_dir() else package.parent / "rigs"
-
-
-def find_rig(name_or_path: str | Path) -> Path:
-    """The rig file that a user means: a path (with a folder or the suffix .toml), or the name of a built-in rig.
-
-    Raises
-    ------
-    RigError
-        No such file, or no such name; the message lists the rigs that exist.
-    """
-    path = Path(name_or_path)
-    if isinstance(name_or_path, str) and path.suffix != ".toml" and path.name == name_or_path:
-        return builtin_rig_path(name_or_path)
-    if not path.is_file():
-        built_in = ", ".join(builtin_rigs())
-        problem = "is a folder; name the rig file in it" if path.is_dir() else "no such rig file; give a path"
-        raise RigError(f"{path}: {problem}, or the name of a built-in rig: {built_in}")
-    return path
 
 
 def _resolved(rig: Rig, files: NamedFiles) -> Rig:
@@ -271,6 +229,8 @@ def _cage(path: str, files: NamedFiles, *, key: str, units: Unit) -> tuple[TriMe
 def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[Anatomy, tuple[Finding, ...]]:
     source = rig.anatomy
     if source.builtin:
+        from musclefit.anatomy.builtin import BUILTIN  # takes longer to import than most rigs to read
+
         if source.builtin not in BUILTIN:
             raise RigError(
                 f"{files.rig}: anatomy.builtin: found {source.builtin!r}; {suggestion(source.builtin, BUILTIN)}"

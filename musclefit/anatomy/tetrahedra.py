@@ -145,9 +145,11 @@ def tetrahedralise_with(
         tets = tets[:, [0, 2, 1, 3]]
     with progress.stage("label tets") as tick:
         labels = np.full(len(tets), -1, dtype=np.int64)
-        barycentres = vertices[tets].mean(axis=1)
+        barycentres, volumes = vertices[tets].mean(axis=1), signed_volumes(vertices, tets)
+        filled = np.zeros(len(anatomy))
         for done, (index, tissue) in enumerate(_outermost_first(anatomy), start=1):
-            labels[_inside(tissue, barycentres)] = index
+            inside = _inside(tissue, barycentres)
+            labels[inside], filled[index] = index, volumes[inside].sum()
             tick(done / len(anatomy))
     kept = labels >= 0
     if not kept.any():
@@ -162,19 +164,20 @@ def tetrahedralise_with(
         mesh=mesh,
         tissue_of_tet=labels[kept],
         dropped=int((~kept).sum()),
-        findings=labelling_findings(anatomy, mesh=mesh, tissue_of_tet=labels[kept]),
+        findings=labelling_findings(anatomy, filled_mm3=filled, tissue_of_tet=labels[kept]),
     )
 
 
-def labelling_findings(anatomy: Anatomy, *, mesh: TetMesh, tissue_of_tet: Int) -> tuple[Finding, ...]:
+def labelling_findings(anatomy: Anatomy, *, filled_mm3: Float, tissue_of_tet: Int) -> tuple[Finding, ...]:
     """Tissues that got no tet, or whose tets fill another volume than their surface encloses.
 
-    Only a tissue in which no other tissue lies is held against its surface: the tets of the others are cut out of it,
-    so for the skin, and for a tissue that shares volume with a further inward one, all tets that its surface winds
-    around are summed.
+    Parameters
+    ----------
+    anatomy : Anatomy
+    filled_mm3 : (tissues,) float64
+        Volume of all tets that each tissue's surface winds around, those of tissues further in included.
+    tissue_of_tet : (k,) int64
     """
-    volumes = signed_volumes(mesh.vertices, mesh.tets)
-    barycentres = mesh.vertices[mesh.tets].mean(axis=1)
     findings = []
     for index, tissue in enumerate(anatomy):
         if not (tissue_of_tet == index).any():
@@ -188,7 +191,7 @@ def labelling_findings(anatomy: Anatomy, *, mesh: TetMesh, tissue_of_tet: Int) -
             )
             continue
         enclosed = enclosed_volume(tissue.surface)
-        filled = float(volumes[_inside(tissue, barycentres)].sum())
+        filled = float(filled_mm3[index])
         percent = 100.0 * (filled - enclosed) / enclosed if enclosed else np.inf
         if abs(percent) > LABELLED_VOLUME_PERCENT:
             findings.append(

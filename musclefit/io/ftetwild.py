@@ -20,8 +20,8 @@ from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.progress import Progress, Silent
 
-OPTIMISATION_PASSES = 3
-"""Passes of the tetrahedraliser over its mesh; the first does most, each costs about a quarter of the first."""
+OPTIMISATION_PASSES = 2
+"""Passes of the tetrahedraliser over its mesh; the first does most, each further one costs about a quarter of it."""
 STOP_ENERGY = 30.0
 """The tetrahedraliser stops early when no tet has a conformal AMIPS energy above this (3 for a regular tet)."""
 

@@ -54,6 +54,16 @@ class Deformation:
     status: Status
 
     @property
+    def stretches(self) -> int:
+        """Parts that the path was cut into; each may have several steps."""
+        return len({record.start for record in self.records if record.end > record.start})
+
+    @property
+    def rejected(self) -> int:
+        """Stretches that were tried, failed the rule and were cut shorter."""
+        return sum(len(record.rejected) for record in self.records)
+
+    @property
     def margin(self) -> float:
         """Smallest margin of its steps; 1 where there is none."""
         return min((record.margin for record in self.records), default=1.0)

@@ -1,8 +1,7 @@
-"""The one marching loop: handles on a path and a backend become a deformation made of steps held to a rule."""
+"""The one marching loop: a stepper and a rule become a deformation made of steps that the rule allows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,94 +10,90 @@ from musclefit.errors import NotConvergedError
 from musclefit.fields.protocol import Backend
 from musclefit.flow.deformation import Deformation, Status, StepRecord
 from musclefit.flow.rules import Rule
-from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
+from musclefit.flow.steppers import Stepper, explicit_step
+from musclefit.flow.steps import ExplicitStep, Step
 from musclefit.geometry.arrays import Points
 from musclefit.progress import Progress, Silent
-from musclefit.rig.handles import Path, StraightPath
+from musclefit.rig.handles import Path
 
 SHORTEST_REACH = 1e-6
 """A march stalls when the rule leaves less than this fraction of the path for a step."""
 
 RETRY_SHARE = 0.9
-"""A rejected step is tried again at this share of what the rule left of it (and at most at half)."""
+"""A rejected stretch is tried again at this share of what the rule left of it (and at most at half)."""
 
 BESIDE = 1e-6
 """How far from a handle its one-sided gradients are taken, as a fraction of the handles' extent."""
 
-Stepper = Callable[[Backend, Points, Points], Step]
-
-
-def explicit_step(backend: Backend, start: Points, end: Points) -> ExplicitStep:
-    """Fit on the start of the step (Yu et al. 2014)."""
-    return ExplicitStep(backend.fit(start, end - start))
-
-
-def cayley_step(backend: Backend, start: Points, end: Points) -> CayleyStep:
-    """Fit on the middle of the step, so that handles arrive exactly and affine motions are reproduced."""
-    return CayleyStep(backend.fit(0.5 * (start + end), end - start))
-
 
 @dataclass(frozen=True, slots=True)
-class _Attempt:
-    step: Step
-    moved: Points
-    end: float
-    record: StepRecord
-
-
-def march(
-    path: Path,
-    backend: Backend,
-    *,
-    stepper: Stepper,
-    rule: Rule,
-    tested: Points,
-    max_steps: int,
-    progress: Progress | None = None,
-) -> Deformation:
-    """Follow the path to its end in steps that the rule allows at every tested point.
-
-    Explicit steps on straight paths aim at the destination and go exactly as far as the rule allows (the loop of Yu et
-    al. 2014: the field is linear in the step's length). Any other step that fails the rule is tried again shorter, at
-    most half as long, and the end it failed at is recorded.
+class Pace:
+    """How fast a march may go.
 
     Parameters
     ----------
-    path : Path
-        Of m handles.
-    backend : Backend
-        Fits the field of each step.
+    max_steps : int
+        Stretches of the path before it gives up.
+    min_steps : int
+        The path is cut into at least so many stretches: the volume that an isochoric implicit step does not keep falls
+        with their square.
+    share : float
+        How much of the rule's limit a step may use, in (0, 1].
+    """
+
+    max_steps: int
+    min_steps: int = 1
+    share: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    steps: tuple[Step, ...]
+    records: tuple[StepRecord, ...]
+    moved: Points
+    end: float
+
+
+def march(stepper: Stepper, *, rule: Rule, tested: Points, pace: Pace, progress: Progress | None = None) -> Deformation:
+    """Follow the path to its end in stretches whose steps the rule allows at every tested point.
+
+    Where the stepper's steps shorten exactly (explicit steps on straight lines), each stretch aims at the destination
+    and goes exactly as far as the rule allows: the loop of Yu et al. 2014. Any other stretch that fails the rule is
+    tried again shorter, at most half as long, and the end it failed at is recorded.
+
+    Parameters
+    ----------
     stepper : Stepper
-        `explicit_step` or `cayley_step`.
     rule : Rule
         Safe fraction of a step at each tested point.
     tested : (N, n) float64, mm
         Points at rest where the rule is tested; they ride along.
-    max_steps : int
+    pace : Pace
 
     Returns
     -------
     Deformation
         With its status: converged, stalled, or out of steps. The claim is *sampled*: the rule held at tested points.
     """
-    points, done, reach = np.array(tested), 0.0, 1.0
+    points, done, reach = np.array(tested), 0.0, 1.0 / pace.min_steps
     steps: list[Step] = []
     records: list[StepRecord] = []
+    stretches = 0
     status = Status.CONVERGED
     with (progress or Silent()).stage("march") as tick:
         while done < 1.0:
-            if len(steps) == max_steps:
+            if stretches == pace.max_steps:
                 status = Status.OUT_OF_STEPS
                 break
-            attempt = _safe_step(path, backend, stepper=stepper, rule=rule, points=points, start=done, reach=reach)
-            records.append(attempt.record)
-            if attempt.end - done < SHORTEST_REACH * (1.0 - done):
+            stretch = _stretch(stepper, rule=rule, points=points, start=done, reach=reach, share=pace.share)
+            records.extend(stretch.records)
+            if stretch.end - done < SHORTEST_REACH * (1.0 - done):
                 status = Status.STALLED
                 break
-            steps.append(attempt.step)
-            points, reach, done = attempt.moved, attempt.end - done, attempt.end
-            if isinstance(path, StraightPath) and isinstance(attempt.step, ExplicitStep):
-                reach = 1.0
+            stretches += 1
+            steps.extend(stretch.steps)
+            reach = 1.0 if stepper.shortens_exactly else stretch.end - done
+            points, done = stretch.moved, stretch.end
             tick(done)
     return Deformation(tuple(steps), tuple(records), status)
 
@@ -129,30 +124,64 @@ def points_beside(handles: Points) -> Points:
     return (handles[:, None, :] + directions).reshape(-1, n)
 
 
-def _safe_step(
-    path: Path, backend: Backend, *, stepper: Stepper, rule: Rule, points: Points, start: float, reach: float
-) -> _Attempt:
-    """The longest step tried from ``start`` that passes the rule; one of no length where none is left."""
+def _stretch(stepper: Stepper, *, rule: Rule, points: Points, start: float, reach: float, share: float) -> _Stretch:
+    """The longest stretch tried from ``start`` whose steps all pass the rule; one of no length where none is left."""
     rejected: list[float] = []
-    end = min(1.0, start + reach)
+    # What floating point leaves of a path cut into equal parts belongs to the last of them.
+    end = 1.0 if start + reach > 1.0 - SHORTEST_REACH else start + reach
     while True:
-        step = stepper(backend, path.position(start), path.position(end))
-        try:
-            trial = step.trial(points)
-            fractions = rule(trial.gradients)
-            worst = int(np.argmin(fractions))
-            fraction, moved = float(fractions[worst]), trial.moved
-        except NotConvergedError:
-            worst, fraction, moved = 0, 0.5, points
-        place = tuple(float(x) for x in points[worst])
-        if fraction > 1.0:
-            return _Attempt(step, moved, end, StepRecord(start, end, 1.0 - 1.0 / fraction, place, tuple(rejected)))
-        if isinstance(step, ExplicitStep) and isinstance(path, StraightPath):
-            moved = points + fraction * (moved - points)
-            end = start + fraction * (end - start)
-            shortened = ExplicitStep(step.field.scaled(fraction))
-            return _Attempt(shortened, moved, end, StepRecord(start, end, 0.0, place))
+        tried = _try(stepper, rule, points, start=start, end=end, share=share)
+        if not isinstance(tried, _Failure):
+            first = StepRecord(start, end, tried.margins[0], tried.places[0], tuple(rejected))
+            more = (StepRecord(start, end, m, p) for m, p in zip(tried.margins[1:], tried.places[1:], strict=True))
+            return _Stretch(tried.steps, (first, *more), tried.moved, end)
+        if stepper.shortens_exactly:
+            shortened = ExplicitStep(tried.step.field.scaled(tried.fraction * share))
+            end = start + tried.fraction * share * (end - start)
+            return _Stretch((shortened,), (StepRecord(start, end, 1.0 - share, tried.place),), shortened(points), end)
         rejected.append(end)
-        end = start + (end - start) * min(0.5, RETRY_SHARE * fraction)
+        end = start + (end - start) * min(0.5, RETRY_SHARE * tried.fraction * share)
         if end - start < SHORTEST_REACH * (1.0 - start):
-            return _Attempt(step, points, start, StepRecord(start, start, 0.0, place, tuple(rejected)))
+            return _Stretch((), (StepRecord(start, start, 0.0, tried.place, tuple(rejected)),), points, start)
+
+
+@dataclass(frozen=True, slots=True)
+class _Success:
+    steps: tuple[Step, ...]
+    margins: tuple[float, ...]
+    places: tuple[tuple[float, ...], ...]
+    moved: Points
+
+
+@dataclass(frozen=True, slots=True)
+class _Failure:
+    step: Step
+    fraction: float
+    place: tuple[float, ...]
+
+
+def _try(
+    stepper: Stepper, rule: Rule, points: Points, *, start: float, end: float, share: float
+) -> _Success | _Failure:
+    """Make and test the steps of one stretch; ends at the first that uses more of its limit than its share."""
+    count = len(points)
+    moved = np.vstack([points, stepper.anchors(start)])
+    steps: list[Step] = []
+    margins: list[float] = []
+    places: list[tuple[float, ...]] = []
+    for make in stepper.makers(start, end):
+        step = make(moved[:count], moved[count:])
+        try:
+            trial = step.trial(moved)
+        except NotConvergedError:
+            return _Failure(step, 0.5, tuple(float(x) for x in moved[0]))
+        fractions = rule(trial.gradients)
+        worst = int(np.argmin(fractions))
+        fraction, place = float(fractions[worst]), tuple(float(x) for x in moved[worst])
+        if not fraction * share > 1.0:
+            return _Failure(step, fraction, place)
+        steps.append(step)
+        margins.append(1.0 - 1.0 / fraction)
+        places.append(place)
+        moved = trial.moved
+    return _Success(tuple(steps), tuple(margins), tuple(places), moved[:count])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from musclefit.errors import MeshError
-from musclefit.geometry.arrays import Bool, Faces, Int
+from musclefit.geometry.arrays import Bool, Faces, Int, Points
 from musclefit.geometry.meshes import TriMesh
 
 
@@ -64,7 +65,7 @@ def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:
     return TriMesh(vertices, _split_faces(mesh.faces, middle[edges.of_face], vertices))
 
 
-def _split_faces(faces: Faces, middles: Int, vertices: np.ndarray) -> Faces:  # type: ignore[type-arg]
+def _split_faces(faces: Faces, middles: Int, vertices: Points) -> Faces:
     """Faces with the middles (f, 3) of their split edges (-1: whole) put in."""
     count = (middles >= 0).sum(axis=1)
     parts = [faces[count == 0]]
@@ -87,7 +88,7 @@ def _split_faces(faces: Faces, middles: Int, vertices: np.ndarray) -> Faces:  # 
     return np.concatenate(parts)
 
 
-def _turned(faces: Faces, middles: Int, which: Bool, *, first) -> tuple[Faces, Int]:  # type: ignore[no-untyped-def]
+def _turned(faces: Faces, middles: Int, which: Bool, *, first: Callable[[Int], Int]) -> tuple[Faces, Int]:
     start = first(middles[which])
     order = (start[:, None] + np.arange(3)) % 3
     return np.take_along_axis(faces[which], order, axis=1), np.take_along_axis(middles[which], order, axis=1)

@@ -70,7 +70,7 @@ def save(
     write_run(
         folder,
         report,
-        rest=result.job.anatomy,
+        rest=result.result.rest,
         deformed=result.result.deformed,
         tets=None if result.tets is None or vertices is None else DeformedTets(result.tets, vertices),
         pictures=drawn.pictures,

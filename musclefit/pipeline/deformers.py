@@ -3,22 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+import numpy as np
+
 from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
+from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
 from musclefit.flow.deformation import Deformation
-from musclefit.flow.march import Stepper, cayley_step, explicit_step, march, one_shot, points_beside
+from musclefit.flow.march import Pace, march, one_shot, points_beside
 from musclefit.flow.rules import rule_for
+from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.distances import thinned
 from musclefit.progress import Progress
+from musclefit.rig.handles import BonePath, Handles
 from musclefit.rig.job import Job
-from musclefit.rig.model import BackendKind, DeformerSettings, StepKind, TestedAt
+from musclefit.rig.model import BackendKind, DeformerSettings, Kernel, StepKind, TestedAt
 
-STEPPERS: Mapping[StepKind, Stepper] = MappingProxyType(
+HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
     {StepKind.EXPLICIT: explicit_step, StepKind.CAYLEY: cayley_step}
 )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Deformed:
+    """A deformation and the groups of bones it was brought to agree with (none where bones are not held)."""
+
+    deformation: Deformation
+    groups: tuple[RigidGroup, ...]
 
 
 def backend_for(settings: DeformerSettings) -> Backend:
@@ -30,33 +46,45 @@ def backend_for(settings: DeformerSettings) -> Backend:
     return builders[settings.backend]()
 
 
-def deform(job: Job, points: Points, *, progress: Progress) -> Deformation:
-    """March the job's handles to their destinations; ``points`` (N, 3) mm at rest are what the rule is tested at."""
+def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
+    """March the job's handles to their destinations.
+
+    Parameters
+    ----------
+    job : Job
+    points : (N, 3) float64, mm
+        The anatomy's vertices at rest, which the rule is tested at.
+    """
     settings = job.rig.deformer
+    rule = rule_for(settings.step, settings.step_rule)
+    pace = Pace(settings.max_steps, settings.min_steps, settings.limit_share)
+    if job.rig.bones.rigid:
+        stepper, tested = _bone_stepper(job, points)
+        return Deformed(march(stepper, rule=rule, tested=tested, pace=pace, progress=progress), tuple(stepper.groups))
     tested = points if settings.tested_at is TestedAt.ALL_POINTS else points_beside(job.handles.source)
-    return march(
-        job.path,
-        backend_for(settings),
-        stepper=STEPPERS[settings.step],
-        rule=rule_for(settings.step, settings.step_rule),
-        tested=tested,
-        max_steps=settings.max_steps,
-        progress=progress,
-    )
+    plain = HandleStepper(job.path, backend_for(settings), HANDLE_STEPS[settings.step])
+    return Deformed(march(plain, rule=rule, tested=tested, pace=pace, progress=progress), ())
 
 
 def deform_in_one_shot(job: Job, points: Points) -> Deformation:
-    """The baseline: the same handles and kernel in one explicit step that is held to no rule."""
-    settings = job.rig.deformer
+    """The baseline: the rig's handles in one explicit step that is held to no rule, as other tools warp landmarks."""
+    settings = _baseline_settings(job)
     rule = rule_for(StepKind.EXPLICIT, settings.step_rule)
     return one_shot(job.path, backend_for(settings), rule=rule, tested=points)
 
 
-def method_in_words(settings: DeformerSettings) -> str:
+def baseline_in_words(job: Job) -> str:
+    """The baseline, for reports."""
+    return f"one-shot {field_in_words(_baseline_settings(job))}"
+
+
+def method_in_words(job: Job) -> str:
     """The method, for reports."""
+    settings = job.rig.deformer
     name = "iterative {} (Yu et al. 2014)" if settings.step is StepKind.EXPLICIT else "implicit midpoint {}"
+    bones = ", rigid bones" if job.rig.bones.rigid else ""
     field = field_in_words(settings)
-    return f"{name.format(field)}, {rule_in_words(settings)}, {settings.path.value} paths"
+    return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {settings.path.value} paths"
 
 
 def field_in_words(settings: DeformerSettings) -> str:
@@ -71,3 +99,41 @@ def rule_in_words(settings: DeformerSettings) -> str:
     rule = "eigenvalues of the symmetric gradient" if settings.step is StepKind.CAYLEY else settings.step_rule.value
     where = "all points" if settings.tested_at is TestedAt.ALL_POINTS else "landmarks only"
     return f"{rule} at {where}"
+
+
+def _baseline_settings(job: Job) -> DeformerSettings:
+    """The rig's own field, but the thin-plate spline for isochoric ones, which nobody else warps with."""
+    settings = job.rig.deformer
+    isochoric = settings.backend is BackendKind.RBF and KERNELS[settings.kernel.value].isochoric
+    return replace(settings, kernel=Kernel.R2_LOG_R) if isochoric else settings
+
+
+def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
+    """The stepper that follows the bones, and the points to test at: the anatomy's, then the rig's handles."""
+    assert job.motions is not None  # a rig with rigid bones is driven by joints
+    bones = job.rig.bones
+    groups = rigid_groups(job.anatomy, job.motions, contact_zone_mm=bones.contact_zone_mm)
+    handles = _with_spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
+    settings = job.rig.deformer
+    stepper = BoneStepper(
+        HandleStepper(BonePath(handles, job.motions), backend_for(settings), HANDLE_STEPS[settings.step]),
+        groups=groups,
+        motions=job.motions,
+        tested_handles=len(points) + np.arange(len(job.handles)),
+        supports_mm=bones.supports_mm,
+    )
+    return stepper, np.vstack([points, job.handles.source])
+
+
+def _with_spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles:
+    """The rig's handles, and further ones on the exposed bones, none closer than the spacing to another."""
+    exposed = [group.surface.vertices[~group.contact] for group in groups]
+    owner = np.concatenate([[group.bones[0]] * len(part) for group, part in zip(groups, exposed, strict=True)])
+    candidates = np.vstack([handles.source, *exposed])
+    chosen = thinned(candidates, spacing_mm=spacing_mm)
+    more = chosen[chosen >= len(handles)]
+    return Handles(
+        (*handles.names, *(f"spread_{k}" for k in range(len(more)))),
+        np.vstack([handles.source, candidates[more]]),
+        (*handles.owner, *(str(owner[k - len(handles)]) for k in more)),
+    )

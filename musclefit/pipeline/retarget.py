@@ -11,15 +11,25 @@ import numpy as np
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.flow.bones import agreement
 from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.surfaces import Carried, carried, carried_finely
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.pipeline.deformers import deform, deform_in_one_shot, field_in_words, method_in_words, rule_in_words
+from musclefit.pipeline.deformers import (
+    Deformed,
+    baseline_in_words,
+    deform,
+    deform_in_one_shot,
+    method_in_words,
+    rule_in_words,
+)
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side
 from musclefit.rig.job import Job
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
+from musclefit.validate.model import BoneFieldCheck
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets
 from musclefit.validate.tissues import check_tissues
@@ -32,7 +42,8 @@ class Outcome:
     Parameters
     ----------
     deformation : Deformation
-    deformed : Anatomy
+    rest, deformed : Anatomy
+        The same triangles; where surfaces were refined, the given vertices come first in each tissue.
     determinants : (N,) float64
         Of the map's Jacobian at the vertices of the anatomy at rest, in the order of ``Anatomy.vertices``.
     tet_vertices : (n, 3) float64, mm, or None
@@ -41,6 +52,7 @@ class Outcome:
     """
 
     deformation: Deformation
+    rest: Anatomy
     deformed: Anatomy
     determinants: Float
     tet_vertices: Points | None
@@ -111,17 +123,13 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     solids = solid_anatomy(job.anatomy, progress=progress)
     points = job.anatomy.vertices()
     result = deform(job, points, progress=progress)
-    baseline = deform_in_one_shot(job, points)
-    settings = job.rig.deformer
-    rule = rule_in_words(settings)
+    baseline = Deformed(deform_in_one_shot(job, points), ())
     finish = _Finisher(job, solids, tets, progress)
     return Retargeting(
         job=job,
         tets=tets,
-        result=finish(result, method=method_in_words(settings), rule=rule, stage="check result"),
-        baseline=finish(
-            baseline, method=f"one-shot {field_in_words(settings)}", rule=rule, stage="check baseline"
-        ),
+        result=finish(result, method=method_in_words(job), stage="check result"),
+        baseline=finish(baseline, method=baseline_in_words(job), stage="check baseline"),
         findings=(*job.findings, *(tets.findings if tets is not None else ())),
     )
 
@@ -135,36 +143,75 @@ class _Finisher:
     tets: TetAnatomy | None
     progress: Progress
 
-    def __call__(self, deformation: Deformation, *, method: str, rule: str, stage: str) -> Outcome:
-        job, anatomy = self.job, self.job.anatomy
+    def __call__(self, deformed: Deformed, *, method: str, stage: str) -> Outcome:
+        job, deformation = self.job, deformed.deformation
+        moved = self._moved(deformed)
         with self.progress.stage(stage) as tick:
-            points = anatomy.vertices()
-            deformed = anatomy.with_vertices(deformation(points))
             tet_vertices = None if self.tets is None else deformation(self.tets.mesh.vertices)
-            tick(0.3)
-            determinants = np.linalg.det(deformation.jacobian(points))
-            map_check = check_map(determinants, points=points, rule=rule, margin=deformation.margin)
+            rule = rule_in_words(job.rig.deformer)
+            tick(0.2)
             landmarks = check_landmarks(
                 job.handles.names, arrived=deformation(job.handles.source), targets=job.path.position(1.0)
             )
-            tick(0.5)
-            after = solid_anatomy(deformed, progress=Silent())
+            after = solid_anatomy(moved.deformed, progress=Silent())
             outside = check_outside_skin(self.rest, after, mapped=deformation, progress=Silent())
-            tick(0.7)
+            tick(0.6)
             overlaps = check_overlaps(self.rest, after, mapped=deformation, progress=Silent())
             tick(0.9)
             side = Side(
                 method=method,
                 status=CONVERGED if deformation.status is Status.CONVERGED else deformation.status.value,
-                steps=len(deformation.steps),
+                steps=deformation.stretches,
                 landmarks=landmarks,
-                map=map_check,
+                map=check_map(moved.determinants, points=moved.rest.vertices(), rule=rule, margin=deformation.margin),
                 mesh=None if self.tets is None or tet_vertices is None else check_tets(self.tets, tet_vertices),
-                tissues=check_tissues(anatomy, deformed, motions=_final_motions(job), outside=outside),
+                tissues=check_tissues(moved.rest, moved.deformed, motions=_final_motions(job), outside=outside),
                 overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
+                steps_rejected=deformation.rejected,
+                edges_split=sum(moved.splits.values()),
+                edges_left_bent=moved.undecided_edges,
+                bones=self._bone_field(deformed),
             )
             tick(1.0)
-        return Outcome(deformation, deformed, determinants, tet_vertices, side)
+        return Outcome(deformation, moved.rest, moved.deformed, moved.determinants, tet_vertices, side)
+
+    def _moved(self, deformed: Deformed) -> Carried:
+        """The tissues moved by the map, finely where the rig says so; bones that are held, by their rigid motions."""
+        held = [bone for group in deformed.groups for bone in group.bones]
+        surfaces = self.job.rig.surfaces
+        if surfaces.refine:
+            moved = carried_finely(
+                self.job.anatomy,
+                deformed.deformation,
+                tolerance_mm=surfaces.chord_tolerance_mm,
+                whole=frozenset(held),
+                progress=self.progress,
+            )
+        else:
+            moved = carried(self.job.anatomy, deformed.deformation)
+        if not held:
+            return moved
+        motions = _final_motions(self.job)
+        tissues = tuple(
+            moved.rest[t.name].with_vertices(motions[t.name](moved.rest[t.name].surface.vertices))
+            if t.name in held
+            else t
+            for t in moved.deformed
+        )
+        return replace(moved, deformed=Anatomy(tissues, moved.deformed.frame))
+
+    def _bone_field(self, deformed: Deformed) -> BoneFieldCheck | None:
+        if not deformed.groups:
+            return None
+        off = agreement(deformed.groups, deformed.deformation, _final_motions(self.job))
+        return BoneFieldCheck(
+            contact_zone_mm=self.job.rig.bones.contact_zone_mm,
+            exposed_vertices=len(off.exposed),
+            contact_vertices=len(off.contact),
+            residual_p99_mm=float(np.quantile(off.exposed, 0.99)),
+            residual_max_mm=float(off.exposed.max()),
+            contact_residual_max_mm=float(off.contact.max(initial=0.0)),
+        )
 
 
 def _final_motions(job: Job) -> Mapping[str, RigidMotion]:

@@ -11,6 +11,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import TissueKind
 from musclefit.rig.model import Limits
 from musclefit.validate.model import (
+    BoneFieldCheck,
     Check,
     LandmarkCheck,
     MapCheck,
@@ -56,6 +57,12 @@ class Side:
         What was measured.
     mesh : MeshCheck or None
         None where no tetrahedra were made.
+    steps_rejected : int
+        Stretches of the path that were tried and cut shorter.
+    edges_split, edges_left_bent : int
+        Edges of the surfaces that were split because the map bends them, and those still bent beyond the tolerance.
+    bones : BoneFieldCheck or None
+        None where bones are not held rigid.
     """
 
     method: str
@@ -66,6 +73,10 @@ class Side:
     mesh: MeshCheck | None
     tissues: tuple[TissueCheck, ...]
     overlaps: OverlapCheck
+    steps_rejected: int = 0
+    edges_split: int = 0
+    edges_left_bent: int = 0
+    bones: BoneFieldCheck | None = None
 
     @property
     def overlap_total(self) -> OverlapTotal:

@@ -161,15 +161,15 @@ Drive = LandmarkDrive | JointDrive | CageDrive
 class DeformerSettings:
     """Which field, which steps, how many.
 
-    The path is cut into ``min_steps`` stretches at least, and no step uses more than ``limit_share`` of its rule's limit.
+    The path is cut into at least ``min_steps`` stretches; no step uses more than ``limit_share`` of its rule's limit.
     ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
     most, each of half the spacing of the one before) are for free-form deformation.
 
     Raises
     ------
     RigError
-        ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a share that is not in (0, 1], or a spacing that is not
-        positive and finite.
+        ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a share that is not in (0, 1], or a spacing that is
+        not positive and finite.
     """
 
     backend: BackendKind = BackendKind.RBF
@@ -226,8 +226,9 @@ class BoneSettings:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSettings:
-    """Whether surfaces are cut finer where the map bends their triangles: edges whose middle is off the map by more than
-    ``chord_tolerance_mm`` are split.
+    """Whether surfaces are cut finer where the map bends their triangles.
+
+    Edges whose middle would be off the map by more than ``chord_tolerance_mm`` are split.
 
     Raises
     ------
@@ -326,8 +327,8 @@ class Rig:
             or self.deformer.tested_at is not TestedAt.ALL_POINTS
         ):
             raise RigError(
-                f'bones.rigid: bones are moved rigidly by joints: write deformer.path = "{PathKind.JOINTS}", '
-                f'deformer.step = "{StepKind.CAYLEY}" and deformer.tested_at = "{TestedAt.ALL_POINTS}", or rigid = false'
+                f'bones.rigid: joints move bones rigidly: write deformer.path = "{PathKind.JOINTS}", '
+                f'step = "{StepKind.CAYLEY}" and tested_at = "{TestedAt.ALL_POINTS}", or bones.rigid = false'
             )
 
 

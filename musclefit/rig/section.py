@@ -118,18 +118,23 @@ class Section:
         except ValueError:
             raise self.error(key, f"found {value!r}; {suggestion(value, [c.value for c in among])}") from None
 
-    def vector(self, key: str, *, length: int) -> Float:
-        """``length`` finite numbers as a read-only array."""
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """A list of finite numbers."""
         values = self.table[key]
         if not isinstance(values, list | tuple):
-            raise self._wrong(key, f"a list of {length} numbers")
-        if len(values) != length:
-            raise self.error(key, f"has {len(values)} entries; expected a list of {length} numbers")
+            raise self._wrong(key, "a list of numbers, such as [50, 20, 10]")
         for value in values:
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise self.error(key, f"holds {_described(value)}; expected a list of {length} numbers")
+                raise self.error(key, f"holds {_described(value)}; expected a list of numbers")
             if not math.isfinite(_as_float(value)):
-                raise self.error(key, f"holds {_shown(value)}; expected {length} finite numbers")
+                raise self.error(key, f"holds {_shown(value)}; expected finite numbers")
+        return tuple(float(value) for value in values)
+
+    def vector(self, key: str, *, length: int) -> Float:
+        """``length`` finite numbers as a read-only array."""
+        values = self.numbers(key)
+        if len(values) != length:
+            raise self.error(key, f"has {len(values)} entries; expected a list of {length} numbers")
         array: Float = frozen(np.array(values, dtype=np.float64))
         return array
 

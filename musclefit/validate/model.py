@@ -83,6 +83,22 @@ class TissueCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class BoneFieldCheck:
+    """How well the field agrees with the rigid motions of the bones, which themselves are moved exactly.
+
+    ``residual`` is at the exposed vertices of the bones; ``contact_residual_max_mm`` is the largest distance of a
+    vertex of the contact zone from the surface of its own bone: the field may slip along it there.
+    """
+
+    contact_zone_mm: float
+    exposed_vertices: int
+    contact_vertices: int
+    residual_p99_mm: float
+    residual_max_mm: float
+    contact_residual_max_mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class PairOverlap:
     """Intersection of two tissues, mm³; introduced beyond the mapped rest overlap, never below 0."""
 

@@ -9,13 +9,14 @@ from oracles import row_norm_fraction
 from musclefit.errors import NotConvergedError
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.deformation import Status
-from musclefit.flow.march import cayley_step, explicit_step, march, one_shot, points_beside
+from musclefit.flow.march import Pace, march, one_shot, points_beside
 from musclefit.flow.rules import (
     cayley_fractions,
     gershgorin_fractions,
     monotone_fractions,
     row_norm_fractions,
 )
+from musclefit.flow.steppers import HandleStepper, cayley_step, explicit_step
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import StraightPath
 
@@ -37,7 +38,7 @@ def determinants(deformation) -> np.ndarray:
 def test_the_loop_unfolds_what_one_shot_folds(kernel):
     path, backend = squeeze(20.0), RadialBackend(kernel)
     shot = one_shot(path, backend, rule=row_norm_fractions, tested=GRID)
-    loop = march(path, backend, stepper=explicit_step, rule=row_norm_fractions, tested=GRID, max_steps=60)
+    loop = march(HandleStepper(path, backend, explicit_step), rule=row_norm_fractions, tested=GRID, pace=Pace(60))
     assert determinants(shot).min() < 0.0
     assert shot.margin < 0.0
     assert determinants(loop).min() > 0.0
@@ -46,7 +47,7 @@ def test_the_loop_unfolds_what_one_shot_folds(kernel):
 
 def test_each_step_is_as_long_as_eq_6_allows():
     path, backend = squeeze(20.0), RadialBackend("r3")
-    loop = march(path, backend, stepper=explicit_step, rule=row_norm_fractions, tested=GRID, max_steps=60)
+    loop = march(HandleStepper(path, backend, explicit_step), rule=row_norm_fractions, tested=GRID, pace=Pace(60))
     points, handles, done = GRID, path.source, 0.0
     for step, record in zip(loop.steps, loop.records, strict=True):
         field = backend.fit(handles, path.target - handles)
@@ -60,15 +61,8 @@ def test_each_step_is_as_long_as_eq_6_allows():
 
 def test_testing_at_landmarks_only_is_not_enough():
     path, backend = squeeze(20.0), RadialBackend("r3")
-    shortcut = march(
-        path,
-        backend,
-        stepper=explicit_step,
-        rule=row_norm_fractions,
-        tested=points_beside(path.source),
-        max_steps=60,
-    )
-    everywhere = march(path, backend, stepper=explicit_step, rule=row_norm_fractions, tested=GRID, max_steps=60)
+    shortcut = march(HandleStepper(path, backend, explicit_step), rule=row_norm_fractions, tested=points_beside(path.source), pace=Pace(60))
+    everywhere = march(HandleStepper(path, backend, explicit_step), rule=row_norm_fractions, tested=GRID, pace=Pace(60))
     assert len(shortcut.steps) < len(everywhere.steps)
 
 
@@ -113,7 +107,7 @@ def test_a_march_without_a_safe_step_stalls_and_says_where():
         return fractions
 
     for stepper in (explicit_step, cayley_step):
-        stalled = march(path, RadialBackend("r3"), stepper=stepper, rule=never, tested=GRID, max_steps=60)
+        stalled = march(HandleStepper(path, RadialBackend("r3"), stepper), rule=never, tested=GRID, pace=Pace(60))
         assert stalled.status is Status.STALLED
         assert stalled.steps == ()
         assert stalled.records[-1].worst_place == tuple(GRID[place])
@@ -122,9 +116,7 @@ def test_a_march_without_a_safe_step_stalls_and_says_where():
 
 
 def test_a_march_out_of_steps_says_so_and_keeps_what_it_has():
-    loop = march(
-        squeeze(20.0), RadialBackend("r3"), stepper=explicit_step, rule=row_norm_fractions, tested=GRID, max_steps=2
-    )
+    loop = march(HandleStepper(squeeze(20.0), RadialBackend("r3"), explicit_step), rule=row_norm_fractions, tested=GRID, pace=Pace(2))
     assert loop.status is Status.OUT_OF_STEPS
     assert len(loop.steps) == 2
     with pytest.raises(NotConvergedError, match="raise max_steps") as caught:
@@ -134,7 +126,7 @@ def test_a_march_out_of_steps_says_so_and_keeps_what_it_has():
 
 def test_rejected_ends_are_recorded_and_the_rest_is_marched():
     path = squeeze(20.0)
-    loop = march(path, RadialBackend("r3"), stepper=cayley_step, rule=cayley_fractions, tested=GRID, max_steps=200)
+    loop = march(HandleStepper(path, RadialBackend("r3"), cayley_step), rule=cayley_fractions, tested=GRID, pace=Pace(200))
     assert loop.status is Status.CONVERGED
     assert any(record.rejected for record in loop.records)
     for record in loop.records:
@@ -150,12 +142,5 @@ def test_a_straight_path_that_turns_by_half_stalls_where_a_bone_path_would_not()
     rng = np.random.default_rng(1)
     at = rng.uniform(-50.0, 50.0, (20, 3))
     half_turn = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), angle_deg=180.0)
-    loop = march(
-        StraightPath(at, half_turn(at)),
-        RadialBackend("r3"),
-        stepper=explicit_step,
-        rule=row_norm_fractions,
-        tested=at,
-        max_steps=100,
-    )
+    loop = march(HandleStepper(StraightPath(at, half_turn(at)), RadialBackend("r3"), explicit_step), rule=row_norm_fractions, tested=at, pace=Pace(100))
     assert loop.status is not Status.CONVERGED

@@ -12,8 +12,9 @@ from oracles import difference_jacobian
 from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.march import cayley_step, explicit_step, march
+from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions, monotone_fractions, row_norm_fractions
+from musclefit.flow.steppers import HandleStepper, cayley_step, explicit_step
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import StraightPath
 
@@ -25,14 +26,7 @@ TESTED = RNG.uniform(-60.0, 60.0, (4000, 3))
 
 def marched(kernel, stepper, rule, *, scale: float = 40.0) -> Deformation:
     backend = FfdBackend(20.0) if kernel == "ffd" else RadialBackend(kernel, scale=scale)
-    deformation = march(
-        StraightPath(AT, MOVED),
-        backend,
-        stepper=stepper,
-        rule=rule,
-        tested=np.vstack([TESTED, AT]),
-        max_steps=50,
-    )
+    deformation = march(HandleStepper(StraightPath(AT, MOVED), backend, stepper), rule=rule, tested=np.vstack([TESTED, AT]), pace=Pace(50))
     assert deformation.status is Status.CONVERGED
     return deformation
 
@@ -96,14 +90,7 @@ def test_points_are_moved_one_by_one(name):
 @pytest.mark.parametrize("angle_deg", [10.0, 120.0, 170.0])
 def test_one_cayley_step_reproduces_any_rotation(kernel, angle_deg):
     motion = RigidMotion.about_axis(centre=np.array([5.0, 1.0, 2.0]), axis=np.array([1.0, 2.0, 3.0]), angle_deg=angle_deg)
-    deformation = march(
-        StraightPath(AT, motion(AT)),
-        FfdBackend() if kernel == "ffd" else RadialBackend(kernel),
-        stepper=cayley_step,
-        rule=cayley_fractions,
-        tested=TESTED,
-        max_steps=1,
-    ).require()
+    deformation = march(HandleStepper(StraightPath(AT, motion(AT)), FfdBackend() if kernel == "ffd" else RadialBackend(kernel), cayley_step), rule=cayley_fractions, tested=TESTED, pace=Pace(1)).require()
     np.testing.assert_allclose(deformation(TESTED), motion(TESTED), rtol=0, atol=1e-8)
     assert deformation.margin == pytest.approx(1.0, abs=1e-9)
 

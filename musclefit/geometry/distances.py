@@ -1,0 +1,74 @@
+"""Distances of points from surfaces, nearest places and smooth normals there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from scipy.spatial import cKDTree
+
+from musclefit.geometry.arrays import Float, Int, Points
+from musclefit.geometry.meshes import TriMesh
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class NearestPlaces:
+    """Where (N, 3) points are nearest to a surface.
+
+    Parameters
+    ----------
+    distances : (N,) float64, mm
+        Not signed.
+    places : (N, 3) float64, mm
+    faces : (N,) int64
+    """
+
+    distances: Float
+    places: Points
+    faces: Int
+
+
+def nearest_places(points: Points, surface: TriMesh) -> NearestPlaces:
+    """Nearest place on the surface for each of (N, 3) points, mm."""
+    squared, faces, places = igl.point_mesh_squared_distance(
+        np.ascontiguousarray(points), np.array(surface.vertices), np.array(surface.faces)
+    )
+    return NearestPlaces(
+        np.sqrt(np.asarray(squared, dtype=np.float64)), np.asarray(places), np.asarray(faces, np.int64)
+    )
+
+
+def smooth_normals(surface: TriMesh, at: NearestPlaces) -> Points:
+    """(N, 3) unit normals at places of a surface: its vertex normals, interpolated over each triangle."""
+    corners = surface.faces[at.faces]
+    by_vertex = np.asarray(igl.per_vertex_normals(np.array(surface.vertices), np.array(surface.faces)))
+    a, b, c = (surface.vertices[corners[:, k]] for k in range(3))
+    weights = _barycentric(at.places, a, b, c)
+    normals = np.einsum("nk,nkj->nj", weights, by_vertex[corners])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit: Points = normals / np.where(lengths > 0.0, lengths, 1.0)
+    return unit
+
+
+def thinned(points: Points, *, spacing_mm: float) -> Int:
+    """Numbers of some of (N, 3) points, no two closer than the spacing, none farther from a chosen one."""
+    tree = cKDTree(points)
+    free = np.ones(len(points), dtype=bool)
+    chosen = []
+    for k in range(len(points)):
+        if free[k]:
+            chosen.append(k)
+            free[tree.query_ball_point(points[k], spacing_mm)] = False
+    return np.array(chosen, dtype=np.int64)
+
+
+def _barycentric(points: Points, a: Points, b: Points, c: Points) -> Float:
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv = (np.einsum("ni,ni->n", p, q) for p, q in ((u, u), (u, v), (v, v)))
+    wu, wv = (np.einsum("ni,ni->n", w, q) for q in (u, v))
+    area = uu * vv - uv * uv
+    safe = np.where(area > 0.0, area, 1.0)
+    second, third = (vv * wu - uv * wv) / safe, (uu * wv - uv * wu) / safe
+    weights: Float = np.column_stack([1.0 - second - third, second, third])
+    return np.clip(np.where(area[:, None] > 0.0, weights, 1.0 / 3.0), 0.0, 1.0)

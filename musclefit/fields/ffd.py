@@ -243,7 +243,7 @@ class FfdField:
         )
 
     def _affine(self, points: Points) -> Points:
-        moved: Points = self.translation + (points - self.origin) @ self.linear.T
+        moved: Points = self.translation + np.einsum("pk,ik->pi", points - self.origin, self.linear)
         return moved
 
     def _accepted(self, points: Points) -> Points:

@@ -163,7 +163,7 @@ def _coefficient(lattices, level, i, j, k, c, n):
 
 @njit(cache=True)
 def _add_level(lattices, level, n, low, high, hull, work):
-    """Add a level's gradient coefficients over low..high, mm, within one of its cells; gives its largest coefficient."""
+    """Add one level over low..high, mm, within one of its cells; gives the largest coefficient."""
     block, differences, column, spare, slopes, values, cell = work
     corner, spacing, shape = lattices[0][level], lattices[1][level], lattices[2][level]
     depth = 1 if n == 2 else 4

@@ -1,0 +1,63 @@
+"""`musclefit warp-image` end to end on the built-in limb and a made-up image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nibabel", reason="nibabel is not installed (extra volumes)")
+
+from musclefit.cli.warp_image import warp_image
+from musclefit.errors import InputError
+from musclefit.geometry.images import Frame, Grid, Interpolation
+from musclefit.io.volumes import read_volume, write_volume
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory):
+    """Labels over the box of the limb."""
+    from musclefit.anatomy.builtin import upper_limb
+
+    vertices = upper_limb().vertices()
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    affine = np.diag([8.0, 8.0, 8.0, 1.0])
+    affine[:3, 3] = low
+    shape = tuple(int(n) for n in np.ceil((high - low) / 8.0) + 1)
+    path = tmp_path_factory.mktemp("image") / "labels.nii.gz"
+    labels = np.random.default_rng(0).integers(0, 5, shape).astype(np.uint8)
+    write_volume(path, labels, Grid(shape, affine), description="labels")
+    return path
+
+
+def test_labels_are_warped_and_fields_written(image, tmp_path, capsys):
+    code = warp_image(
+        "upper_limb",
+        image,
+        frame=Frame.RAS,
+        out=tmp_path / "warped.nii.gz",
+        interpolation=Interpolation.NEAREST,
+        jacobian=tmp_path / "jacobian.nii.gz",
+        set=("drive.pose.elbow_deg=20", "drive.pose.forearm_deg=10", "deformer.backend=ffd"),
+        quiet=True,
+    )
+    assert code == 0
+    warped, jacobian = read_volume(tmp_path / "warped.nii.gz"), read_volume(tmp_path / "jacobian.nii.gz")
+    assert warped.values.dtype == np.uint8
+    assert set(np.unique(warped.values)) <= set(range(5))
+    assert np.median(jacobian.values) == pytest.approx(1.0, abs=0.2)
+
+
+def test_slips_are_told_before_the_long_work(image, tmp_path):
+    with pytest.raises(InputError, match="no such image"):
+        warp_image("upper_limb", tmp_path / "x.nii", frame=Frame.RAS, out=tmp_path / "o.nii", quiet=True)
+    floats = tmp_path / "floats.nii"
+    write_volume(floats, np.full((3, 3, 3), 0.5, dtype=np.float32), Grid((3, 3, 3), np.eye(4)), description="")
+    with pytest.raises(InputError, match="holds fractions, so it is no label map"):
+        warp_image(
+            "upper_limb",
+            floats,
+            frame=Frame.RAS,
+            out=tmp_path / "o.nii",
+            interpolation=Interpolation.NEAREST,
+            quiet=True,
+        )

@@ -35,6 +35,7 @@ app = App(
     help_epilogue="Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written.",
     default_parameter=Parameter(negative=(), show_default=False),
     usage="Usage: musclefit COMMAND [OPTIONS]",
+    suppress_keyboard_interrupt=False,
 )
 
 Quiet = Annotated[bool, Parameter(name="--quiet", help="Print nothing but errors.")]

@@ -16,9 +16,10 @@ from musclefit.validate.model import Check
 
 def print_run(report: Report, *, folder: Path) -> None:
     """The verdict, the limits, and result beside baseline."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     console.print(_verdict(report.verdict, report.title))
-    console.print(Text(f"{report.result.method}; {report.result.steps} steps; {report.result.status}"))
+    steps = "1 step" if report.result.steps == 1 else f"{report.result.steps} steps"
+    console.print(Text(f"{report.result.method}; {steps}; {report.result.status}"))
     console.print(Text(f"map: {report.result.map.claim.value}; mesh: {_mesh_claim(report)}"))
     table = Table(box=None, pad_edge=False)
     for heading, justify in (("", "left"), ("result", "right"), ("one shot", "right"), ("unit", "left")):
@@ -27,12 +28,12 @@ def print_run(report: Report, *, folder: Path) -> None:
         table.add_row(row.name, _cell(row.result), _cell(row.baseline), row.unit)
     console.print(table)
     _print_failed(console, report.checks)
-    console.print(Text(f"written to {folder}: report.html, report.json, surfaces, pictures"))
+    console.print(_said_written(folder))
 
 
 def print_inspection(report: MeshReport, *, folder: Path | None) -> None:
     """The verdict, what was found in the surfaces, and the overlapping pairs."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     console.print(_verdict(report.verdict, report.title))
     triangles = sum(t.triangles for t in report.tissues)
     console.print(Text(f"{len(report.tissues)} tissues, {triangles} triangles, {len(report.findings)} findings"))
@@ -47,7 +48,12 @@ def print_inspection(report: MeshReport, *, folder: Path | None) -> None:
         console.print(Text(f"  ... and {len(report.overlaps.pairs) - 20} more, all in the report"))
     _print_failed(console, report.checks)
     if folder is not None:
-        console.print(Text(f"written to {folder}: report.html, report.json"))
+        console.print(_said_written(folder))
+
+
+def _said_written(folder: Path) -> Text:
+    known = ("report.html", "report.json", "surfaces", "tets.vtu", "pictures")
+    return Text(f"written to {folder}: {', '.join(name for name in known if (folder / name).exists())}")
 
 
 def _verdict(verdict: str, title: str) -> Text:

@@ -26,7 +26,7 @@ def report_schema() -> Schema:
             "oneOf": [_record(side, "One method's outcome."), {"type": "null"}],
         },
         **_run_properties(),
-        "files": _list(_text("Path relative to the report, with forward slashes."), "Every file the run wrote."),
+        "files": _files(),
         "surfaces": _list(_surface(), "Which files hold which tissue."),
     }
     required = [key for key in properties if key not in ("files", "surfaces")]
@@ -61,8 +61,9 @@ def mesh_report_schema() -> Schema:
         "findings": _list(_finding(), "What was found in the input."),
         "checks": _checks(),
         **_run_properties(),
+        "files": _files(),
     }
-    return _document("Report of one musclefit inspection", properties, list(properties))
+    return _document("Report of one musclefit inspection", properties, [key for key in properties if key != "files"])
 
 
 def _side_properties() -> Schema:
@@ -211,6 +212,10 @@ def _finding() -> Schema:
         "message": _text("What was found, with numbers."),
     }
     return _record(properties, "Something found in the input.")
+
+
+def _files() -> Schema:
+    return _list(_text("Path relative to the report, with forward slashes."), "Every file that was written.")
 
 
 def _surface() -> Schema:

@@ -40,7 +40,7 @@ class BoxProof:
     margin : float
         Proved on the whole domain when positive. Otherwise no proof was found.
     sampled_margin : float
-        Smallest at the centres of boxes; the true one is at most this (up to sources where the gradient jumps).
+        Smallest at the centres of boxes; the true one is at most this, and the proved one too.
     places : (K, n) float64, mm
         Centres with the smallest sampled margins, worst first.
     examined, left : int
@@ -84,8 +84,10 @@ class _Search:
                 halves[part] * (1.0 + 1e-9) + self.overlap,
                 enough=self.condition.enough(max(self.needed, 1e-3)),
             )
-            proved[part], sampled[part] = self.condition.margins(ranges), self.condition.margins(middles)
-            self._keep(centres[part], sampled[part])
+            proved[part] = self.condition.margins(ranges)
+            known = ~np.isnan(middles).any(axis=1)
+            sampled[part] = np.where(known, self.condition.margins(middles), np.nan)
+            self._keep(centres[part][known], sampled[part][known])
         self.examined += len(centres)
         return proved, sampled
 
@@ -166,7 +168,7 @@ def _cut(centres: Points, halves: Float, proved: Float, sampled: Float, needed: 
     """Cut boxes along one, two or three of their longest sides, the more the further their proof is from sufficing."""
     n = centres.shape[1]
     room = sampled - needed
-    lacks = np.divide(sampled - proved, room, out=np.full_like(room, 2.0), where=room > 0.0)
+    lacks = np.divide(sampled - proved, room, out=np.full_like(room, np.inf), where=room > 0.0)
     cuts = np.minimum(1 + (lacks > 1.6).astype(int) + (lacks > 2.4), n)
     parts = []
     order = np.argsort(-halves, axis=1, kind="stable")

@@ -1,7 +1,7 @@
 r"""Covers of a body's surface by balls, and where a step takes them: what encloses the image of the body.
 
-*Invariant*: every point of the surface lies in one of the balls (points, radii); at rest, each triangle in one of its
-own. Where a step stretches so much that its balls prove nothing, their triangles are cut in four.
+*Invariant*: every point of the surface lies in one of the balls (points, radii); at rest, each piece in one of its own.
+Where a step is so steep that a ball proves nothing, its piece is cut in four.
 
 *Explicit step* U = id + D: a ball of radius rho around z goes into a ball around U(z) of radius rho times
 sup |I + grad D| over the ball.
@@ -27,25 +27,18 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from musclefit.certify.shells import UP
 from musclefit.certify.strain import (
     eigenvalue_rounding,
     gradient_ball_bounds,
     strain_ball_ranges,
     symmetric_eigenvalues,
 )
-from musclefit.errors import MeshError
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Points
-from musclefit.geometry.meshes import TriMesh
-
-UP = 1.0 + 1e-12
-"""Rounds radii up, far more than their own rounding."""
 
 ROUNDING = 1e-15
 """Of coordinates of which two or three are added."""
-
-FACE_CELLS = 24
-"""Grid cells along the longest side of a box whose surface is covered."""
 
 MIDPOINT_REACH = (1.15, 1.6)
 """Radii s around midpoints that are tried, in units of t / (1 - sigma) with sigma sampled at the centre."""
@@ -66,29 +59,6 @@ class DisplacementBounded(Protocol):
     def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         """Values at the centres of boxes and the radii that hold over each box, (B, n) each."""
         ...
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Patches:
-    """Pieces of a body's surface at rest: (P, n, n) float64, mm, corners of triangles (of segments in the plane)."""
-
-    corners: Float
-
-    def cover(self) -> Cover:
-        """One ball around each."""
-        middle = self.corners.mean(axis=1)
-        reach = np.sqrt(((self.corners - middle[:, None]) ** 2).sum(axis=2)).max(axis=1)
-        return Cover(middle, reach * UP + ROUNDING * np.abs(self.corners).sum(axis=(1, 2)))
-
-    def split(self) -> Patches:
-        """Each in four alike (in the plane in two): children of piece p stand at p, p + P, ..."""
-        c = self.corners
-        if c.shape[1] == 2:
-            middle = 0.5 * (c[:, 0] + c[:, 1])
-            return Patches(np.concatenate([np.stack([c[:, 0], middle], 1), np.stack([middle, c[:, 1]], 1)]))
-        a, b, d = 0.5 * (c[:, 0] + c[:, 1]), 0.5 * (c[:, 1] + c[:, 2]), 0.5 * (c[:, 2] + c[:, 0])
-        parts = [(c[:, 0], a, d), (a, c[:, 1], b), (d, b, c[:, 2]), (a, b, d)]
-        return Patches(np.concatenate([np.stack(part, axis=1) for part in parts]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -138,51 +108,6 @@ class Midpoints:
         )
 
 
-def skin_patches(mesh: TriMesh) -> Patches:
-    """The triangles of a closed surface.
-
-    Raises
-    ------
-    MeshError
-        An edge without its partner: the surface has no inside. Or no triangles.
-    """
-    if not len(mesh.faces):
-        raise MeshError("the skin has no triangles, so nothing is inside it; give a closed surface")
-    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
-    open_edges = int(np.sum(counts % 2))
-    if open_edges:
-        first = unique[counts % 2 == 1][0].tolist()
-        raise MeshError(
-            f"the skin has {open_edges} open edges, the first between vertices {first[0]} and {first[1]}, so nothing "
-            "is inside it; close it before the map is certified"
-        )
-    return Patches(mesh.corners())
-
-
-def box_patches(points: Points) -> Patches:
-    """The surface of the axis-aligned box around (N, n) points, a little enlarged, in triangles or segments."""
-    n = points.shape[1]
-    low, high = points.min(axis=0), points.max(axis=0)
-    slack = 1e-9 * (1.0 + np.abs([low, high]).max())
-    low, high = low - slack, high + slack
-    pieces = np.maximum(np.ceil((high - low) / (high - low).max() * FACE_CELLS), 1).astype(int)
-    edges = [np.linspace(low[k], high[k], pieces[k] + 1) for k in range(n)]
-    patches = []
-    for k in range(n):
-        across = [i for i in range(n) if i != k]
-        for end in (low[k], high[k]):
-            grid = np.stack(np.meshgrid(*(edges[i] for i in across), indexing="ij"), axis=-1)
-            face = np.full((*grid.shape[:-1], n), end)
-            face[..., across] = grid
-            if n == 2:
-                patches.append(np.stack([face[:-1], face[1:]], axis=1))
-                continue
-            a, b, c, d = face[:-1, :-1], face[1:, :-1], face[1:, 1:], face[:-1, 1:]
-            patches += [np.stack(t, axis=2).reshape(-1, n, n) for t in ((a, b, c), (a, c, d))]
-    return Patches(np.concatenate(patches))
-
-
 def displacement_with_error(field: Field, points: Points) -> tuple[Points, Float]:
     """Values and (N,) proved bounds of how far they are off, in length; fields without proof of their own are trusted
     to 1e-12 of coordinates and values."""
@@ -196,11 +121,17 @@ def displacement_with_error(field: Field, points: Points) -> tuple[Points, Float
 def explicit_image(field: Field, cover: Cover) -> Cover:
     """A cover of the image of the surface under x -> x + D(x)."""
     values, errors = displacement_with_error(field, cover.points)
-    gradients, spread = gradient_ball_bounds(field, cover.points, cover.radii)
+    radii = np.full(len(values), np.inf)
+    known = np.isfinite(cover.radii)
+    gradients, spread = gradient_ball_bounds(field, cover.points[known], cover.radii[known])
     jacobians = np.eye(cover.points.shape[1]) + gradients
-    stretch = np.linalg.norm(jacobians, 2, axis=(1, 2)) + eigenvalue_rounding(jacobians) + spread
-    moved = cover.points + values
-    return Cover(moved, (stretch * cover.radii + errors + _coordinate_rounding(cover.points, values)) * UP)
+    stretch = np.full(len(jacobians), np.inf)
+    whole = np.isfinite(jacobians).all(axis=(1, 2))
+    stretch[whole] = np.linalg.norm(jacobians[whole], 2, axis=(1, 2)) + eigenvalue_rounding(jacobians[whole])
+    off = errors[known] + _coordinate_rounding(cover.points[known], values[known])
+    # A ball of radius 0 under an infinite stretch stays unknown, too.
+    radii[known] = ((stretch + spread) * np.maximum(cover.radii[known], 1e-300) + off) * UP
+    return Cover(cover.points + values, radii)
 
 
 def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:

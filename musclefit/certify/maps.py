@@ -20,7 +20,8 @@ The margin is 1 - the proved supremum of |eigenvalue| / 2.
 
 **Composition.** U takes A onto a compact set whose boundary lies in the image of the skin (invariance of domain), hence
 inside that image and in the convex hull of any cover of it. So step j + 1 is proved on the hull of the balls to which
-the steps before took the balls around the skin's vertices.
+the steps before took those around the skin. All this is done for a closed shell a little outside the skin (`shells`)
+in place of the skin itself: what is inside the skin is inside the shell.
 
 **Without a skin** the body is the axis-aligned box around the given points.
 """
@@ -36,16 +37,14 @@ from musclefit.certify.boxes import BoxProof, prove
 from musclefit.certify.covers import (
     Cover,
     Midpoints,
-    Patches,
-    box_patches,
     cayley_image,
     cayley_midpoints,
     explicit_image,
-    skin_patches,
 )
 from musclefit.certify.domains import Hull
 from musclefit.certify.folds import Inside, find_fold
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
+from musclefit.certify.shells import Patches, box_shell, skin_shell
 from musclefit.certify.strain import Condition
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
@@ -62,11 +61,18 @@ MAX_BOXES = 400_000
 MARGIN_SHARE = 0.5
 """A certified margin is at least this share of the sampled one, where the budget lasts."""
 
+SHELLS = (40, 160)
+"""Voxels along the skin's longest side: the shell around the skin, and the finer one that is tried when no claim could
+be made of what is inside the first."""
+
 MAX_SPLITS = 6
 """Times that a piece of the surface is cut in four before its midpoint is given up."""
 
 MAX_PATCHES = 400_000
 """Pieces of the surface."""
+
+WIDE_BALL = 0.02
+"""Of the size of the body: pieces in wider balls are cut."""
 
 WIDEST_BALL = 1e3
 """Times the size of the body: wider covers are given up."""
@@ -110,25 +116,37 @@ def certify_map(
         raise InputError(
             f"max_boxes is {max_boxes} and margin_share {margin_share}; they must be at least 1, and in [0, 1)"
         )
-    body = _Body.of(skin)
-    found: list[StepCertificate] = []
-    fold: tuple[Fold, ...] = ()
-    with (progress or Silent()).stage("certify the map") as tick:
-        for number, (kind, field) in enumerate(steps):
-            budget = max_boxes - sum(step.boxes_examined for step in found)
-            trial = _Trial(kind, field, body)
-            share_done = _part(tick, number, len(steps))
-            proof = trial.prove(budget, margin_share, share_done)
-            step = trial.certificate(proof)
-            if step.claim is not MapClaim.CERTIFIED:
-                starts, stride = trial.suspects(proof)
-                fold = find_fold(steps, number, starts, stride=stride, inside=body.inside)
-                found.append(replace(step, claim=MapClaim.REFUTED) if fold else step)
+    with (progress or Silent()).stage("certify the map") as raw_tick:
+        spent, tick = 0, _never_back(raw_tick)
+        for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
+            body = _Body.of(skin, voxels=voxels)
+            found, fold = _judge(steps, body, max_boxes=max_boxes - spent, margin_share=margin_share, tick=tick)
+            spent += sum(step.boxes_examined for step in found)
+            if not found or found[-1].claim is not MapClaim.UNDECIDED or spent >= max_boxes:
                 break
-            found.append(step)
-            if number + 1 < len(steps):
-                body.move(kind, field, trial.midpoints)
-    return _summary(tuple(found), fold, max_boxes)
+    return _summary(found, fold, examined=spent, max_boxes=max_boxes)
+
+
+def _judge(
+    steps: Sequence[tuple[StepKind, Field]], body: _Body, *, max_boxes: int, margin_share: float, tick: Tick
+) -> tuple[tuple[StepCertificate, ...], tuple[Fold, ...]]:
+    """Step by step, up to the first that is not certified."""
+    found: list[StepCertificate] = []
+    for number, (kind, field) in enumerate(steps):
+        budget = max_boxes - sum(step.boxes_examined for step in found)
+        trial = _Trial(kind, field, body)
+        proof = trial.prove(budget, margin_share, _part(tick, number, len(steps)))
+        step = trial.certificate(proof)
+        if step.claim is not MapClaim.CERTIFIED:
+            starts, stride = trial.suspects(proof)
+            fold = find_fold(steps, number, starts, stride=stride, inside=body.inside)
+            found.append(replace(step, claim=MapClaim.REFUTED) if fold else step)
+            return tuple(found), fold
+        found.append(step)
+        tick((number + 1) / len(steps))
+        if number + 1 < len(steps):
+            body.move(kind, field, trial.midpoints)
+    return tuple(found), ()
 
 
 class _Body:
@@ -136,16 +154,17 @@ class _Body:
 
     def __init__(self, patches: Patches, inside: Inside) -> None:
         self.patches, self.inside = patches, inside
-        self.cover = patches.cover()
+        self.cover = Cover(patches.centres, patches.radii())
         self.steps: list[tuple[StepKind, Field]] = []
+        self._narrow()
 
     @classmethod
-    def of(cls, skin: TriMesh | Points) -> _Body:
+    def of(cls, skin: TriMesh | Points, *, voxels: int) -> _Body:
         """The body inside a skin, or the box around points."""
         if isinstance(skin, TriMesh):
             surface = skin
             # 0.9: the winding number is off by up to 0.01; pieces of the surface that overlap count more than once.
-            return cls(skin_patches(surface), lambda places: winding_numbers(surface, places) > 0.9)
+            return cls(skin_shell(surface, voxels=voxels), lambda places: winding_numbers(surface, places) > 0.9)
         points = np.asarray(skin, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points) or not np.isfinite(points).all():
             raise InputError(
@@ -157,28 +176,44 @@ class _Body:
             inside: Bool = ((places >= low) & (places <= high)).all(axis=1)
             return inside
 
-        return cls(box_patches(points), within)
+        return cls(box_shell(points), within)
 
     def midpoints(self, field: Field) -> Midpoints:
         """Where a Cayley step has the midpoints of the surface; pieces without a proved one are cut smaller first."""
         found = cayley_midpoints(field, self.cover)
         for _ in range(MAX_SPLITS):
-            open_pieces = ~found.found & np.isfinite(self.cover.radii)
-            if not open_pieces.any() or len(self.patches.corners) + 3 * open_pieces.sum() > MAX_PATCHES:
+            cut = ~found.found & np.isfinite(self.cover.radii)
+            if not self._may_cut(cut):
                 break
-            children = Patches(self.patches.corners[open_pieces]).split()
-            cover = self._carried(children)
-            self.patches = Patches(np.concatenate([self.patches.corners[~open_pieces], children.corners]))
-            self.cover = Cover(
-                np.concatenate([self.cover.points[~open_pieces], cover.points]),
-                np.concatenate([self.cover.radii[~open_pieces], cover.radii]),
-            )
-            found = found.without(open_pieces).joined(cayley_midpoints(field, cover))
+            found = found.without(cut).joined(cayley_midpoints(field, self._cut(cut)))
         return found
+
+    def _narrow(self) -> None:
+        """Cut the pieces whose balls are wide for the size of the body."""
+        for _ in range(MAX_SPLITS):
+            widest = WIDE_BALL * float(np.ptp(self.cover.points, axis=0).max(initial=0.0))
+            cut = self.cover.radii > widest
+            if not self._may_cut(cut):
+                break
+            self._cut(cut)
+
+    def _may_cut(self, pieces: Bool) -> bool:
+        return bool(pieces.any()) and len(pieces) + 3 * int(pieces.sum()) <= MAX_PATCHES
+
+    def _cut(self, pieces: Bool) -> Cover:
+        """Replace pieces by their children, which then stand last; gives the children's balls."""
+        children = self.patches.only(pieces).split()
+        cover = self._carried(children)
+        self.patches = self.patches.only(~pieces).joined(children)
+        self.cover = Cover(
+            np.concatenate([self.cover.points[~pieces], cover.points]),
+            np.concatenate([self.cover.radii[~pieces], cover.radii]),
+        )
+        return cover
 
     def _carried(self, patches: Patches) -> Cover:
         """The balls to which the steps so far take pieces; of infinite radius where that is not proved."""
-        cover = patches.cover()
+        cover = Cover(patches.centres, patches.radii())
         for kind, field in self.steps:
             if kind is StepKind.EXPLICIT:
                 cover = explicit_image(field, cover)
@@ -192,6 +227,7 @@ class _Body:
         """Take the surface through a step that is proved."""
         self.cover = explicit_image(field, self.cover) if midpoints is None else cayley_image(field, midpoints)
         self.steps.append((kind, field))
+        self._narrow()
 
 
 class _Trial:
@@ -264,11 +300,25 @@ def _part(tick: Tick, number: int, count: int) -> Callable[[float], None]:
     return lambda done: tick((number + done) / count)
 
 
+def _never_back(tick: Tick) -> Tick:
+    """A tick that repeats the largest share done when the work starts over."""
+    furthest = 0.0
+
+    def ahead(done: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, done)
+        tick(furthest)
+
+    return ahead
+
+
 def _place(point: Points) -> Place:
     return tuple(float(x) for x in point)
 
 
-def _summary(steps: tuple[StepCertificate, ...], fold: tuple[Fold, ...], max_boxes: int) -> MapCertificate:
+def _summary(
+    steps: tuple[StepCertificate, ...], fold: tuple[Fold, ...], *, examined: int, max_boxes: int
+) -> MapCertificate:
     """One record from the steps'; no steps at all are the identity, which is certified."""
     if not steps:
         return MapCertificate(MapClaim.CERTIFIED, 1.0, -1, (), 0, 0, max_boxes, ())
@@ -279,7 +329,7 @@ def _summary(steps: tuple[StepCertificate, ...], fold: tuple[Fold, ...], max_box
         margin=steps[worst].margin,
         worst_step=worst,
         worst_place=steps[worst].worst_place,
-        boxes_examined=sum(step.boxes_examined for step in steps),
+        boxes_examined=examined,
         boxes_left=sum(step.boxes_left for step in steps),
         max_boxes=max_boxes,
         steps=steps,

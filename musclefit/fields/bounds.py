@@ -12,150 +12,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from musclefit.fields.box_sums import PARTS, sum_block
 from musclefit.fields.eigenvalues import eigenvalue_floor
-from musclefit.fields.terms import SMALL, isochoric_terms, scalar_terms, slope_bound, value_terms
+from musclefit.fields.terms import SMALL, slope_bound, value_terms
 
 LANES = 32
 """Boxes that are summed side by side."""
 
-PARTS = 31
-"""Rows of the sums of a box: gradient (9), its derivatives (3 x 6), remainders of strain and whole, first, second."""
+UNRESOLVED = 0.01
+"""Jumps at a centre above which nothing is said of the strain there."""
 
 
 @njit(cache=True, error_model="numpy")
 def rounding_share(m):
     """GAMMA(m): relative rounding of a sum of m terms, generously."""
     return (m + 400.0) * 2.3e-16
-
-
-@njit(cache=True, error_model="numpy")
-def _add_scalar(w, dx, dy, dz, g, f, t, sums):
-    """Add one source's gradient w (g d)^T and its derivatives w_i (f delta_kl + t d_k d_l) to the rows of ``sums``."""
-    for i in range(dx.size):
-        x, y, z = dx[i], dy[i], dz[i]
-        gx, gy, gz = g[i] * x, g[i] * y, g[i] * z
-        tx, ty = t[i] * x, t[i] * y
-        xx, xy, xz = f[i] + tx * x, tx * y, tx * z
-        yy, yz, zz = f[i] + ty * y, ty * z, f[i] + t[i] * z * z
-        for k in range(3):
-            a = w[k]
-            sums[3 * k, i] += a * gx
-            sums[3 * k + 1, i] += a * gy
-            sums[3 * k + 2, i] += a * gz
-            sums[9 + 6 * k, i] += a * xx
-            sums[10 + 6 * k, i] += a * xy
-            sums[11 + 6 * k, i] += a * xz
-            sums[12 + 6 * k, i] += a * yy
-            sums[13 + 6 * k, i] += a * yz
-            sums[14 + 6 * k, i] += a * zz
-
-
-@njit(cache=True, error_model="numpy")
-def _add_isochoric(a, b, c, dx, dy, dz, r2, f2, f3, f4, sums):
-    """The same for D = -omega w + (grad d_w psi).
-
-    d_k D_i = A w_i x_k + f_3 s x_i x_k + f_2 (w_k x_i + s delta_ik), s = x . w, A = -(4 f_2 + r² f_3);
-    d_l d_k D_i = w_i P_kl + x_i Q_kl + delta_il z_k + delta_ik z_l with P = A' x x^T + A I, A' = -(6 f_3 + r² f_4),
-    Q = f_4 s x x^T + f_3 (w x^T + x w^T) + f_3 s I, z = f_3 s x + f_2 w.
-    """
-    for i in range(dx.size):
-        x, y, z = dx[i], dy[i], dz[i]
-        s = x * a + y * b + z * c
-        A = -(4.0 * f2[i] + r2[i] * f3[i])
-        slope = -(6.0 * f3[i] + r2[i] * f4[i])
-        curl = f3[i] * s
-        along = f2[i] * s
-        ux, uy, uz = A * a + curl * x, A * b + curl * y, A * c + curl * z
-        vx, vy, vz = f2[i] * x, f2[i] * y, f2[i] * z
-        sums[0, i] += ux * x + vx * a + along
-        sums[1, i] += ux * y + vx * b
-        sums[2, i] += ux * z + vx * c
-        sums[3, i] += uy * x + vy * a
-        sums[4, i] += uy * y + vy * b + along
-        sums[5, i] += uy * z + vy * c
-        sums[6, i] += uz * x + vz * a
-        sums[7, i] += uz * y + vz * b
-        sums[8, i] += uz * z + vz * c + along
-        fa, fb, fc = f3[i] * a, f3[i] * b, f3[i] * c
-        qx, qy, qz = f4[i] * s * x, f4[i] * s * y, f4[i] * s * z
-        Qxx, Qxy, Qxz = qx * x + 2.0 * fa * x + curl, qx * y + fa * y + fb * x, qx * z + fa * z + fc * x
-        Qyy, Qyz, Qzz = qy * y + 2.0 * fb * y + curl, qy * z + fb * z + fc * y, qz * z + 2.0 * fc * z + curl
-        px, py, pz = slope * x, slope * y, slope * z
-        Pxx, Pxy, Pxz, Pyy, Pyz, Pzz = px * x + A, px * y, px * z, py * y + A, py * z, pz * z + A
-        zx, zy, zz = curl * x + f2[i] * a, curl * y + f2[i] * b, curl * z + f2[i] * c
-        sums[9, i] += a * Pxx + x * Qxx + 2.0 * zx
-        sums[10, i] += a * Pxy + x * Qxy + zy
-        sums[11, i] += a * Pxz + x * Qxz + zz
-        sums[12, i] += a * Pyy + x * Qyy
-        sums[13, i] += a * Pyz + x * Qyz
-        sums[14, i] += a * Pzz + x * Qzz
-        sums[15, i] += b * Pxx + y * Qxx
-        sums[16, i] += b * Pxy + y * Qxy + zx
-        sums[17, i] += b * Pxz + y * Qxz
-        sums[18, i] += b * Pyy + y * Qyy + 2.0 * zy
-        sums[19, i] += b * Pyz + y * Qyz + zz
-        sums[20, i] += b * Pzz + y * Qzz
-        sums[21, i] += c * Pxx + z * Qxx
-        sums[22, i] += c * Pxy + z * Qxy
-        sums[23, i] += c * Pxz + z * Qxz + zx
-        sums[24, i] += c * Pyy + z * Qyy
-        sums[25, i] += c * Pyz + z * Qyz + zy
-        sums[26, i] += c * Pzz + z * Qzz + 2.0 * zz
-
-
-@njit(cache=True, error_model="numpy")
-def _sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, h, sums):
-    """Sums of a block of boxes: ``boxes`` (3, L) centres local to the origin, ``h`` (L,) half diagonals with blur."""
-    lanes = h.size
-    dx, dy, dz, r2 = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    g, f, t = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    strain, whole, first, second = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    sums[:, :] = 0.0
-    middle, block = _enclosing_ball(boxes, h)
-    for j in range(sizes.size):
-        x, y, z = sources[0, j], sources[1, j], sources[2, j]
-        if reach < np.inf:  # compact: no box of the block within the support
-            away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2
-            if away * (1.0 - 1e-12) > (block + reach) ** 2:
-                continue
-        for i in range(lanes):
-            dx[i], dy[i], dz[i] = boxes[0, i] - x, boxes[1, i] - y, boxes[2, i] - z
-            r2[i] = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i]
-        size = sizes[j]
-        if isochoric:
-            isochoric_terms(code, scale, extent, table, r2, h, g, f, t, strain, whole, first, second)
-            _add_isochoric(weights[0, j], weights[1, j], weights[2, j], dx, dy, dz, r2, g, f, t, sums)
-            for i in range(lanes):
-                sums[27, i] += size * strain[i]
-                sums[28, i] += size * whole[i]
-                sums[29, i] += size * first[i]
-                sums[30, i] += size * second[i]
-        else:
-            scalar_terms(code, scale, extent, table, r2, h, g, f, t, strain, first, second)
-            _add_scalar(weights[:, j], dx, dy, dz, g, f, t, sums)
-            for i in range(lanes):
-                sums[27, i] += size * strain[i]
-                sums[28, i] += size * strain[i]
-                sums[29, i] += size * first[i]
-                sums[30, i] += size * second[i]
-    parts = np.abs(linear).sum()
-    for i in range(lanes):
-        sums[29, i] += parts
-        for k in range(9):
-            sums[k, i] += linear[k // 3, k % 3]
-
-
-@njit(cache=True, error_model="numpy")
-def _enclosing_ball(boxes, h):
-    """A ball around all boxes of a block."""
-    middle = np.empty(3)
-    for k in range(3):
-        middle[k] = 0.5 * (boxes[k].min() + boxes[k].max())
-    radius = 0.0
-    for i in range(h.size):
-        x, y, z = boxes[0, i] - middle[0], boxes[1, i] - middle[1], boxes[2, i] - middle[2]
-        radius = max(radius, np.sqrt(x * x + y * y + z * z) + h[i])
-    return middle, radius * (1.0 + 1e-12)
 
 
 @njit(cache=True, error_model="numpy")
@@ -171,7 +42,43 @@ def _half_diagonals(half_widths, balls, start, stop, blur):
 @njit(cache=True, error_model="numpy")
 def _slack(sums, i, h, m, blur):
     """Rounding of the matrix and of its derivatives over the box, and the blur of coordinates."""
-    return 4.0 * rounding_share(m) * (sums[29, i] + h * sums[30, i]) + blur * sums[30, i] + SMALL
+    rounded = 4.0 * rounding_share(m) * (sums[29, i] + h * (sums[30, i] + h * sums[31, i]))
+    return rounded + blur * (sums[30, i] + 2.0 * h * sums[31, i]) + SMALL
+
+
+@njit(cache=True, error_model="numpy")
+def _quadratic(sums, i, half, h, symmetric):
+    """Bound of the second-derivative term over the box: half of the sup of |sum of e_k e_m M_km| (Frobenius).
+
+    By |e_k| <= half_k, or, since the squares of the e_k e_m sum to |e|⁴ <= h⁴, by Cauchy-Schwarz. Of the matrices'
+    symmetric parts when ``symmetric``.
+    """
+    by_sides, squares = 0.0, 0.0
+    for n in range(6):
+        # (k, m) = xx, xy, xz, yy, yz, zz: the rows of (x, k, m), (y, k, m) and (z, k, m)
+        if n == 0:
+            k, m, x, y, z = 0, 0, 0, 1, 2
+        elif n == 1:
+            k, m, x, y, z = 0, 1, 1, 3, 4
+        elif n == 2:
+            k, m, x, y, z = 0, 2, 2, 4, 5
+        elif n == 3:
+            k, m, x, y, z = 1, 1, 3, 6, 7
+        elif n == 4:
+            k, m, x, y, z = 1, 2, 4, 7, 8
+        else:
+            k, m, x, y, z = 2, 2, 5, 8, 9
+        xx, xy, xz = sums[33 + x, i], sums[33 + y, i], sums[33 + z, i]
+        yx, yy, yz = sums[43 + x, i], sums[43 + y, i], sums[43 + z, i]
+        zx, zy, zz = sums[53 + x, i], sums[53 + y, i], sums[53 + z, i]
+        if symmetric:
+            xy, xz, yz = 0.5 * (xy + yx), 0.5 * (xz + zx), 0.5 * (yz + zy)
+            yx, zx, zy = xy, xz, yz
+        square = xx * xx + xy * xy + xz * xz + yx * yx + yy * yy + yz * yz + zx * zx + zy * zy + zz * zz
+        times = 1.0 if k == m else 2.0
+        by_sides += times * half[k] * half[m] * np.sqrt(square)
+        squares += times * square
+    return 0.5 * min(by_sides, h * h * np.sqrt(squares)) * (1.0 + 1e-13)
 
 
 @njit(cache=True, error_model="numpy")
@@ -221,7 +128,7 @@ def gradient_boxes(
         h = _half_diagonals(half_widths, balls, start, stop, blur)
         sums = np.empty((PARTS, stop - start))
         where = np.ascontiguousarray(boxes[start:stop].T)
-        _sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
+        sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
         for i in range(stop - start):
             half = half_widths[start + i]
             longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
@@ -240,7 +147,8 @@ def gradient_boxes(
             for k in range(9):
                 gradients[start + i, k // 3, k % 3] = sums[k, i]
             slack = _slack(sums, i, h[i], m, blur)
-            radii[start + i] = (np.sqrt(longest) + sums[28, i] + slack) * (1.0 + rounding_share(m))
+            quadratic = _quadratic(sums, i, half, h[i], False) if isochoric or code <= 2 else 0.0
+            radii[start + i] = (np.sqrt(longest) + quadratic + sums[28, i] + slack) * (1.0 + rounding_share(m))
             if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
                 radii[start + i] = np.inf
 
@@ -312,13 +220,13 @@ def _corner_floor(parts, half, ball, sign, quick):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def strain_boxes(
-    code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur, planar,
-    enough, bounds, middles,
+    code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur,
+    planar, enough, bounds, middles,
 ):  # fmt: skip
     """Bound the eigenvalues of the strain over boxes: ``bounds`` and ``middles`` (B, 2) are written.
 
-    Every eigenvalue anywhere in box b is within ``bounds[b]``. ``middles[b]`` is about the range at its centre (near
-    sources whose gradient jumps, without them). ``enough`` (2,): bounds at least that good need no tightening.
+    Every eigenvalue anywhere in box b is within ``bounds[b]``. ``middles[b]`` is about the range at its centre, NaN
+    where sources are too near for the box to tell. ``enough`` (2,): bounds at least that good need no tightening.
     """
     count, m = boxes.shape[0], sizes.size
     for block in prange((count + LANES - 1) // LANES):
@@ -326,17 +234,20 @@ def strain_boxes(
         h = _half_diagonals(half_widths, balls, start, stop, blur)
         sums = np.empty((PARTS, stop - start))
         where = np.ascontiguousarray(boxes[start:stop].T)
-        _sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
+        sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
         parts = np.empty((4, 6))
         for i in range(stop - start):
             for row in range(4):
                 _strain(sums, i, row, planar, parts[row])
-            loss = (sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
             half = half_widths[start + i]
+            quadratic = _quadratic(sums, i, half, h[i], True) if isochoric or code <= 2 else 0.0
+            loss = (quadratic + sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
             middle, low = _corner_floor(parts, half, balls[start + i], 1.0, enough[0] + loss)
             bounds[start + i, 0], middles[start + i, 0] = low - loss, middle
             middle, low = _corner_floor(parts, half, balls[start + i], -1.0, loss - enough[1])
             bounds[start + i, 1], middles[start + i, 1] = loss - low, -middle
+            if sums[32, i] > UNRESOLVED:
+                middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan
             if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
                 bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf
 

@@ -76,7 +76,7 @@ def displacement_bounds(field: RadialField, centres: Points, half_widths: Float)
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
     code, _, scale, _, table, _, sources, weights, sizes, _ = boxes.field
     summed, errors = np.empty_like(boxes.local), np.empty(len(centres))
-    slope = table[3].max() / (scale if code in EXTENTS else 1.0)
+    slope = table[4].max() / (scale if code in EXTENTS else 1.0)
     bounds.values(code, boxes.field[1], scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
     affine = field.translation + (centres - field.origin) @ field.linear.T
     values: Points = affine + summed[:, :n]
@@ -114,7 +114,7 @@ def _prepared(field: RadialField, centres: Points, half_widths: Float) -> _Boxes
     sources, local = field.centres - field.origin, centres - field.origin
     largest = sum(float(np.abs(a).max(initial=0.0)) for a in (sources, local))
     weights = _in_space(field.weights)
-    sizes = np.sqrt((weights**2).sum(axis=1)) * (1.0 + 1e-15) + 1e-300
+    sizes = np.hypot(np.hypot(weights[:, 0], weights[:, 1]), weights[:, 2]) * (1.0 + 1e-15) + 1e-300
     linear = np.zeros((3, 3))
     linear[:n, :n] = field.linear
     return _Boxes(

@@ -97,8 +97,8 @@ class RadialField:
         Returns
         -------
         (B, 2), (B, 2) float64
-            Every eigenvalue anywhere in box b is within the first; the second is about the range at the box's centre
-            (without sources at which the gradient jumps, where they are near) and proves nothing.
+            Every eigenvalue anywhere in box b is within the first; the second is about the range at the box's centre,
+            NaN where centres of the sum are too near for the box to tell, and proves nothing.
         """
         balls = enclosures.endless(centres)
         return enclosures.strain_bounds(self, centres, half_widths, balls=balls, enough=enough)

@@ -1,0 +1,152 @@
+"""Closed shells of squares around a body: what is carried through the steps in place of its skin.
+
+A shell may stand off the skin: everything inside the skin is inside it, so what is proved inside the shell holds there.
+It is coarser than the skin and further from sources inside the body, where a field is steep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from musclefit.errors import MeshError
+from musclefit.geometry.arrays import Bool, Float, Points
+from musclefit.geometry.meshes import TriMesh
+
+UP = 1.0 + 1e-12
+"""Rounds radii up, far more than their own rounding."""
+
+FACE_CELLS = 12
+"""Squares along the longest side of a box."""
+
+STANDOFF = 0.25
+"""Of a voxel's edge: at least so far a shell stands off the skin."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Patches:
+    """Pieces of a shell at rest: rectangles, in the plane segments.
+
+    Parameters
+    ----------
+    centres : (P, n) float64, mm
+    halves : (P, n) float64, mm
+        Half widths along the axes, one of them 0.
+    """
+
+    centres: Points
+    halves: Float
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def radii(self) -> Float:
+        """(P,) of balls around the centres that hold the pieces, mm."""
+        size: Float = np.sqrt(np.einsum("pk,pk->p", self.halves, self.halves))
+        radii: Float = size * UP + 1e-15 * np.einsum("pk->p", np.abs(self.centres))
+        return radii
+
+    def only(self, kept: Bool) -> Patches:
+        """Some of them."""
+        return Patches(self.centres[kept], self.halves[kept])
+
+    def joined(self, other: Patches) -> Patches:
+        """These and then the others."""
+        return Patches(np.concatenate([self.centres, other.centres]), np.concatenate([self.halves, other.halves]))
+
+    def split(self) -> Patches:
+        """Each in four (in the plane in two)."""
+        n = self.centres.shape[1]
+        signs = np.array(list(np.ndindex(*(2,) * n)), dtype=np.float64) * 2.0 - 1.0
+        children = []
+        half = 0.5 * self.halves
+        for k in range(n):  # pieces normal to axis k: one child for each pair of signs along the others
+            flat = self.only(self.halves[:, k] == 0.0)
+            own = half[self.halves[:, k] == 0.0]
+            children += [Patches(flat.centres + sign * own, own) for sign in signs[signs[:, k] > 0.0]]
+        whole = children[0]
+        for more in children[1:]:
+            whole = whole.joined(more)
+        return whole
+
+
+def box_shell(points: Points) -> Patches:
+    """The surface of the axis-aligned box around (N, n) points, a little enlarged."""
+    n = points.shape[1]
+    low, high = points.min(axis=0), points.max(axis=0)
+    slack = 1e-9 * (1.0 + np.abs([low, high]).max())
+    low, high = low - slack, high + slack
+    pieces = np.maximum(np.ceil((high - low) / (high - low).max() * FACE_CELLS), 1).astype(int)
+    half = 0.5 * (high - low) / pieces
+    middles = [low[k] + half[k] * (2 * np.arange(pieces[k]) + 1) for k in range(n)]
+    centres, halves = [], []
+    for k in range(n):
+        for end in (low[k], high[k]):
+            axes = [*middles[:k], np.array([end]), *middles[k + 1 :]]
+            centres.append(np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1))
+            halves.append(np.tile(np.where(np.arange(n) == k, 0.0, half * (1.0 + 1e-9)), (len(centres[-1]), 1)))
+    return Patches(np.concatenate(centres), np.concatenate(halves))
+
+
+def skin_shell(skin: TriMesh, *, voxels: int) -> Patches:
+    """The outer surface of all voxels that the skin comes near, ``voxels`` of them along its longest side.
+
+    The skin lies in filled voxels. From inside the skin every path to infinity meets the skin, hence a filled voxel,
+    and leaves the last one through a face to empty voxels that are joined to infinity: those faces are the shell.
+
+    Raises
+    ------
+    MeshError
+        An edge without its partner, so that the skin has no inside; or no triangles.
+    """
+    _require_closed(skin)
+    low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
+    edge = float((high - low).max()) / voxels
+    corners = _small_triangles(skin.corners(), 0.5 * edge)
+    low = low - (1.5 + STANDOFF) * edge
+    counts = np.ceil((high - low) / edge + 1.5 + STANDOFF).astype(int)
+    first = np.floor((corners.min(axis=1) - low) / edge - STANDOFF).astype(int)
+    last = np.floor((corners.max(axis=1) - low) / edge + STANDOFF).astype(int)
+    filled = np.zeros(counts, dtype=bool)
+    for offset in np.ndindex(*((last - first).max(axis=0) + 1)):
+        cell = np.minimum(first + np.array(offset), last)
+        filled[tuple(cell.T)] = True
+    regions, _ = ndimage.label(~filled)
+    outside = regions == regions[0, 0, 0]
+    centres, halves = [], []
+    for axis in range(3):
+        ahead = np.diff(outside.astype(np.int8), axis=axis) != 0
+        place = np.argwhere(ahead).astype(np.float64) + 0.5
+        place[:, axis] += 0.5
+        centres.append(low + edge * place)
+        halves.append(np.tile(np.where(np.arange(3) == axis, 0.0, 0.5 * edge * (1.0 + 1e-9)), (len(place), 1)))
+    return Patches(np.concatenate(centres), np.concatenate(halves))
+
+
+def _small_triangles(corners: Float, size: float) -> Float:
+    """Cut triangles in four until their sides are at most ``size`` along every axis."""
+    done = []
+    while len(corners):
+        small = (np.ptp(corners, axis=1) <= size).all(axis=1)
+        done.append(corners[small])
+        c = corners[~small]
+        a, b, d = 0.5 * (c[:, 0] + c[:, 1]), 0.5 * (c[:, 1] + c[:, 2]), 0.5 * (c[:, 2] + c[:, 0])
+        parts = [(c[:, 0], a, d), (a, c[:, 1], b), (d, b, c[:, 2]), (a, b, d)]
+        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return np.concatenate(done)
+
+
+def _require_closed(skin: TriMesh) -> None:
+    if not len(skin.faces):
+        raise MeshError("the skin has no triangles, so nothing is inside it; give a closed surface")
+    edges = np.sort(skin.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    open_edges = int(np.sum(counts % 2))
+    if open_edges:
+        first = unique[counts % 2 == 1][0].tolist()
+        raise MeshError(
+            f"the skin has {open_edges} open edges, the first between vertices {first[0]} and {first[1]}, so nothing "
+            "is inside it; close it before the map is certified"
+        )

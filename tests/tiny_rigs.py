@@ -86,6 +86,14 @@ def landmark_rows() -> list[list[str]]:
     return rows
 
 
+def exchanged_rows() -> list[list[str]]:
+    """The same, but the distal bone's ends along z are sent to each other's places, so that their ways cross."""
+    rows = landmark_rows()
+    ends = [row for row in rows if row[0] in ("bone_distal_2", "bone_distal_5")]
+    ends[0][5:8], ends[1][5:8] = ends[1][2:5], ends[0][2:5]
+    return rows
+
+
 def write_landmarks(path: Path, rows: list[list[str]]) -> None:
     """Write a table as CSV."""
     path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")

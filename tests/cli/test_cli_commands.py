@@ -15,7 +15,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from tiny_rigs import LANDMARKS, TISSUES, egg, landmark_rows, write_landmarks, write_tiny_rig
+from tiny_rigs import LANDMARKS, TISSUES, egg, exchanged_rows, landmark_rows, write_landmarks, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.figures.stills import Stills
@@ -113,7 +113,7 @@ def test_a_limit_that_fails_gives_1_and_the_report(rig: Path, out: Path, capsys:
 
 def test_a_run_that_ends_early_gives_1_and_the_report(rig: Path, out: Path) -> None:
     arguments = ["run", str(rig), "--out", str(out), "--quiet", "--set", "deformer.max_steps=1"]
-    write_landmarks(rig.with_name("landmarks.csv"), exchanged())
+    write_landmarks(rig.with_name("landmarks.csv"), exchanged_rows())
     assert main(arguments) == 1
     report = read(out)
     assert report["verdict"] == "failed"
@@ -408,11 +408,3 @@ def test_the_demo_bends_the_built_in_limb(out: Path, capsys: pytest.CaptureFixtu
     assert report["landmarks"]["max_error_mm"] <= 1e-6
     assert report["map"]["folded_points"] == 0
     assert len(report["tissues"]) == 12
-
-
-def exchanged() -> list[list[str]]:
-    """Landmarks of which the last two are sent almost to each other's places, round about which space must turn."""
-    rows = landmark_rows()
-    a, b = rows[-1], rows[-4]
-    a[5:8], b[5:8] = b[2:5], a[2:5]
-    return rows

@@ -1,0 +1,285 @@
+"""Whole runs through the Python API: the same numbers as report.json, the paper's loop against one shot, early ends."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tiny_rigs import BEND_DEG, LANDMARKS, TISSUES, drive_by_joints, exchanged_rows, write_landmarks, write_tiny_rig
+
+import musclefit
+from musclefit.errors import NotConvergedError
+from musclefit.figures.stills import Stills
+from musclefit.flow.deformation import Status
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.volumes import enclosed_volume
+from musclefit.io import runs
+from musclefit.io.outputs import ply_bytes
+from musclefit.io.surfaces import read_surface
+from musclefit.pipeline.retarget import Outcome, Retargeting
+from musclefit.progress import Tick
+from musclefit.report.model import CONVERGED
+from musclefit.report.schema import to_json
+
+LANDMARK_MM = 1e-6
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    return write_tiny_rig(tmp_path / "rig")
+
+
+@pytest.fixture
+def bent_rig(rig: Path) -> Path:
+    """Joints that may bend farther than one step can go."""
+    drive_by_joints(rig)
+    joints = rig.with_name("joints.toml")
+    joints.write_text(joints.read_text(encoding="utf-8").replace("[-5, 60]", "[-5, 170]"), encoding="utf-8")
+    return rig
+
+
+def run(rig: Path, *overrides: str) -> Retargeting:
+    return musclefit.retarget(musclefit.read_rig(rig, overrides=overrides), tets=None)
+
+
+# --- the same numbers everywhere
+
+
+def test_report_json_holds_the_numbers_of_the_api(rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "stills", lambda *_, **__: Stills(problem="not in this test"))
+    job = musclefit.read_rig(rig)
+    tets = musclefit.tetrahedralise(job.anatomy, edge_length_fraction=0.2, envelope_fraction=0.01)
+    result = musclefit.retarget(job, tets=tets)
+    returned = musclefit.save(result, tmp_path / "out", seconds={"march": 1.5})
+    written = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    beside = {key: written.pop(key) for key in ("files", "surfaces")}
+    assert written == to_json(returned)
+    assert written["timings_s"] == {"march": 1.5}
+    measured = ("timings_s", "peak_memory_mb", "provenance")
+    assert {k: v for k, v in to_json(result.report).items() if k not in measured} == {
+        k: v for k, v in written.items() if k not in measured
+    }
+    assert_measured_again(written, result.result, result)
+    assert_measured_again(written["baseline"], result.baseline, result)
+    for entry, tissue in zip(beside["surfaces"], result.result.deformed, strict=True):
+        on_disk = read_surface(tmp_path / "out" / entry["ply"])
+        assert entry["name"] == tissue.name
+        np.testing.assert_array_equal(on_disk.vertices, tissue.surface.vertices)
+        np.testing.assert_array_equal(on_disk.faces, tissue.surface.faces)
+
+
+def assert_measured_again(said: dict[str, Any], outcome: Outcome, result: Retargeting) -> None:
+    """One side of report.json against what its deformation and surfaces say."""
+    job = result.job
+    arrived = outcome.deformation(job.handles.source)
+    errors = np.linalg.norm(arrived - job.path.position(1.0), axis=1)
+    assert said["landmarks"]["count"] == LANDMARKS
+    assert said["landmarks"]["max_error_mm"] == pytest.approx(errors.max(), rel=1e-9, abs=1e-15)
+    smallest = np.linalg.det(outcome.deformation.jacobian(job.anatomy.vertices())).min()
+    assert said["map"]["min_jacobian_determinant"] == pytest.approx(smallest, rel=1e-12)
+    for tissue in said["tissues"]:
+        rest, after = (enclosed_volume(a[tissue["name"]].surface) for a in (job.anatomy, outcome.deformed))
+        assert tissue["rest_volume_mm3"] == pytest.approx(rest, rel=1e-12)
+        assert tissue["volume_mm3"] == pytest.approx(after, rel=1e-12)
+        assert tissue["volume_change_percent"] == pytest.approx(100 * (after - rest) / rest, rel=1e-9, abs=1e-9)
+    assert result.tets is not None
+    assert outcome.tet_vertices is not None
+    np.testing.assert_allclose(outcome.tet_vertices, outcome.deformation(result.tets.mesh.vertices), rtol=0, atol=1e-12)
+    corners = outcome.tet_vertices[result.tets.mesh.tets]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert said["mesh"]["tets"] == len(volumes)
+    assert said["mesh"]["inverted"] == (volumes <= 0).sum() == 0
+
+
+def test_two_runs_give_the_same_numbers(rig: Path) -> None:
+    first, second = (to_json(run(rig).report) for _ in range(2))
+    assert first == second
+
+
+# --- the paper's loop and one shot
+
+
+def test_within_one_safe_step_the_loop_is_the_one_shot_warp(rig: Path) -> None:
+    result = run(rig)
+    assert (result.result.side.steps, result.result.side.status) == (1, CONVERGED)
+    assert result.result.deformation.margin > 0
+    np.testing.assert_array_equal(result.result.deformed.vertices(), result.baseline.deformed.vertices())
+
+
+@pytest.mark.parametrize("kernel", ["r", "r2logr", "r3"])
+def test_the_loop_keeps_what_one_shot_folds(bent_rig: Path, kernel: str) -> None:
+    result = run(bent_rig, "drive.pose.elbow_deg=150", f"deformer.kernel={kernel}")
+    loop, shot = result.result.side, result.baseline.side
+    assert (loop.status, loop.steps > 4, shot.steps) == (CONVERGED, True, 1)
+    assert (loop.map.folded_points, shot.map.folded_points > 0) == (0, True)
+    assert loop.map.min_jacobian_determinant > 0 > shot.map.min_jacobian_determinant
+    assert result.result.deformation.margin >= 0 > result.baseline.deformation.margin
+    assert max(loop.landmarks.max_error_mm, shot.landmarks.max_error_mm) <= LANDMARK_MM
+    assert "not held to any rule" in shot.status
+
+
+@pytest.mark.parametrize("path", ["straight", "joints"])
+@pytest.mark.parametrize("rule", ["row-norm", "gershgorin"])
+def test_landmarks_arrive(bent_rig: Path, path: str, rule: str) -> None:
+    more = ("drive.pose.elbow_deg=90", f"deformer.path={path}", f"deformer.step_rule={rule}")
+    side = run(bent_rig, *more).result.side
+    assert side.status == CONVERGED
+    assert side.landmarks.max_error_mm <= LANDMARK_MM
+
+
+def test_the_landmarks_alone_are_tested_where_the_rig_says_so(bent_rig: Path) -> None:
+    """The paper's shortcut takes fewer steps, since it looks at fewer points; what it missed is in its report."""
+    pose = "drive.pose.elbow_deg=150"
+    everywhere, shortcut = run(bent_rig, pose).result, run(bent_rig, pose, "deformer.tested_at=landmarks").result
+    assert shortcut.side.steps < everywhere.side.steps
+    assert shortcut.side.map.points_tested == everywhere.side.map.points_tested
+    assert "landmarks only" in shortcut.side.method
+
+
+def test_rest_stays_at_rest(bent_rig: Path) -> None:
+    result = run(bent_rig, "drive.pose.elbow_deg=0")
+    np.testing.assert_array_equal(result.result.deformed.vertices(), result.job.anatomy.vertices())
+    assert result.report.verdict == "passed"
+
+
+def test_a_body_elsewhere_is_deformed_alike(rig: Path, tmp_path: Path) -> None:
+    """Turning and shifting tissues and landmarks turns and shifts the result, and changes no measured number."""
+    motion = RigidMotion.about_axis(centre=np.array([3.0, -2.0, 5.0]), axis=np.array([0.6, 0.0, 0.8]), angle_deg=40.0)
+    away = write_tiny_rig(tmp_path / "away")
+    for name, surface in TISSUES.items():
+        moved = TriMesh(motion(surface.vertices), surface.faces)
+        (away.parent / "anatomy" / f"{name}.ply").write_bytes(ply_bytes(moved))
+    header, *rows = (line.split(",") for line in (rig.parent / "landmarks.csv").read_text().splitlines())
+    for row in rows:
+        ends = motion(np.array([row[2:5], row[5:8]], dtype=float))
+        row[2:8] = [repr(float(x)) for x in ends.ravel()]
+    write_landmarks(away.parent / "landmarks.csv", [header, *rows])
+    here, there = (run(r, "deformer.step_rule=monotone") for r in (rig, away))
+    np.testing.assert_allclose(
+        there.result.deformed.vertices(), motion(here.result.deformed.vertices()), rtol=0, atol=1e-9
+    )
+    for a, b in zip(here.result.side.tissues, there.result.side.tissues, strict=True):
+        assert a.volume_change_percent == pytest.approx(b.volume_change_percent, rel=1e-7, abs=1e-7)
+
+
+# --- early ends
+
+
+def test_a_run_that_stalls_is_reported_not_raised(rig: Path) -> None:
+    write_landmarks(rig.with_name("landmarks.csv"), exchanged_rows())
+    result = run(rig, "deformer.kernel=r2logr")
+    assert result.result.deformation.status is Status.STALLED
+    assert result.report.verdict == "failed"
+    side = result.result.side
+    assert side.status == Status.STALLED.value
+    assert side.landmarks.max_error_mm > 1.0
+    assert side.map.folded_points == 0
+    failed = {check.name for check in result.report.checks if not check.passed}
+    assert failed >= {"not converged", "landmark error"}
+    with pytest.raises(NotConvergedError, match="ended early: no safe step is left") as ended:
+        result.result.deformation.require()
+    assert ended.value.result is result.result.deformation
+
+
+def test_a_run_out_of_steps_is_reported_not_raised(bent_rig: Path) -> None:
+    result = run(bent_rig, "drive.pose.elbow_deg=150", "deformer.max_steps=2")
+    assert result.result.side.steps == 2
+    assert "raise max_steps" in result.result.side.status
+    assert result.report.verdict == "failed"
+
+
+# --- progress
+
+
+class Watched:
+    """Keeps the stages and their ticks."""
+
+    def __init__(self) -> None:
+        self.ticks: dict[str, list[float]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Tick]:
+        yield self.ticks.setdefault(name, []).append
+
+
+def test_progress_is_told_stage_by_stage(rig: Path) -> None:
+    watched = Watched()
+    musclefit.retarget(musclefit.read_rig(rig, progress=watched), tets=None, progress=watched)
+    assert {"read and check the surfaces", "march", "check result", "check baseline"} <= set(watched.ticks)
+    for name in ("march", "check result", "check baseline"):
+        told = watched.ticks[name]
+        assert told == sorted(told)
+        assert told[-1] == 1.0
+
+
+# --- bones by their joints
+
+
+def test_bones_are_held_against_the_motion_of_their_joints(bent_rig: Path) -> None:
+    result = run(bent_rig, f"drive.pose.elbow_deg={BEND_DEG}")
+    turn = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), angle_deg=BEND_DEG)
+    for name, motion in (("bone_proximal", RigidMotion.identity()), ("bone_distal", turn)):
+        said = next(t for t in result.result.side.tissues if t.name == name)
+        rest, after = (a[name].surface.vertices for a in (result.job.anatomy, result.result.deformed))
+        off = np.linalg.norm(after - motion(rest), axis=1).max()
+        assert said.rigidity_reference == "prescribed"
+        assert said.rigidity_mm == pytest.approx(off, rel=1e-9)
+        assert 0.01 < off < 2.0
+
+
+# --- the real forearm
+
+
+@pytest.fixture(scope="module")
+def forearm(anatomy_data: Path) -> Retargeting:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MUSCLEFIT_DATA", str(anatomy_data))
+        return musclefit.retarget(musclefit.read_rig(musclefit.find_rig("forearm")), tets=None)
+
+
+@pytest.mark.anatomy
+def test_the_real_forearm_arrives(forearm: Retargeting) -> None:
+    """Fig. 8 of Yu et al. 2014: a real forearm to elbow 75 and forearm 70 degrees by 35 landmarks."""
+    kinds = [tissue.kind.value for tissue in forearm.result.deformed]
+    assert (kinds.count("skin"), kinds.count("bone"), kinds.count("muscle"), len(kinds)) == (1, 30, 39, 70)
+    side = forearm.result.side
+    assert (side.status, side.landmarks.count) == (CONVERGED, 35)
+    assert side.landmarks.max_error_mm <= LANDMARK_MM
+    assert forearm.baseline.side.landmarks.max_error_mm <= LANDMARK_MM
+    assert (side.steps > 1, forearm.baseline.side.steps) == (True, 1)
+
+
+@pytest.mark.anatomy
+def test_the_real_forearm_does_not_fold_where_it_was_tested(forearm: Retargeting) -> None:
+    side, shot = forearm.result.side, forearm.baseline.side
+    assert side.map.points_tested > 200_000
+    assert (side.map.folded_points, side.map.claim.value) == (0, "sampled")
+    assert side.map.margin >= 0 > shot.map.margin
+    assert side.map.min_jacobian_determinant > max(0.0, shot.map.min_jacobian_determinant)
+
+
+@pytest.mark.anatomy
+@pytest.mark.parametrize("which", ["result", "baseline"])
+def test_the_real_forearm_tells_what_folds_overlaps_bends_and_shrinks(forearm: Retargeting, which: str) -> None:
+    report = to_json(forearm.report)
+    said = report if which == "result" else report["baseline"]
+    assert said["map"]["min_jacobian_determinant"] is not None
+    assert said["pairs_tested"] > 100
+    assert said["overlap_total"]["rest_mm3"] == pytest.approx(0.0, abs=1e-6)
+    assert said["overlap_total"]["introduced_mm3"] >= 0
+    by_kind = {kind: [t for t in said["tissues"] if t["kind"] == kind] for kind in ("bone", "muscle")}
+    assert max(t["rigidity_mm"] for t in by_kind["bone"]) > 1.0, "the paper's method bends bones: this says how much"
+    assert {t["rigidity_reference"] for t in by_kind["bone"]} <= {"prescribed", "best fit"}
+    assert max(abs(t["volume_change_percent"]) for t in by_kind["muscle"]) > 1.0
+    assert all(math.isfinite(t["outside_skin_mm3"]) for kind in by_kind.values() for t in kind)
+    assert said["verdict"] == "failed"
+    failed = {check["name"] for check in said["checks"] if not check["passed"]}
+    assert failed >= {"bone off rigid", "muscle volume change"}
+    assert said["mesh"] is None

@@ -89,13 +89,13 @@ def _distinct(points: Points, table: LandmarkTable, verb: str) -> Points:
 
 
 def read_landmarks(
-    path: Path, *, units: Unit = Unit.MILLIMETRE, source_prefix: str = "", target_prefix: str = "target_"
+    path: str | Path, *, units: Unit = Unit.MILLIMETRE, source_prefix: str = "", target_prefix: str = "target_"
 ) -> LandmarkTable:
     """Read a CSV (``.csv``) or Slicer markups (``.fcsv``, ``.mrk.json``).
 
     Parameters
     ----------
-    path : Path
+    path : path
         A CSV has the columns ``name``, ``x_mm``, ``y_mm``, ``z_mm`` (or ``x_cm`` .., ``x_m`` .., ``x`` ..), and may
         have ``bone`` and the targets ``target_x_mm`` ..; other columns are passed over. Columns are parted by comma,
         semicolon or tab. Slicer's positions stay in the frame that the file states.
@@ -111,6 +111,7 @@ def read_landmarks(
     LandmarkError
         A missing column, an unknown unit, a value that is no number, broken JSON, or what `LandmarkTable` refuses.
     """
+    path = Path(path)
     name = path.name.lower()
     if not name.endswith((".csv", ".fcsv", ".mrk.json")):
         raise InputError(f"{path}: landmarks are read from {_ENDINGS} files; correct the path or rename the file")

@@ -34,14 +34,18 @@ def prepared_tets(job: Job, *, progress: Progress | None = None) -> TetAnatomy |
 
 
 def save(
-    result: Retargeting, folder: Path, *, seconds: Mapping[str, float] | None = None, progress: Progress | None = None
+    result: Retargeting,
+    folder: str | Path,
+    *,
+    seconds: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
 ) -> Report:
     """Write a run whole: report.json, report.html, surfaces, tetrahedra, pictures.
 
     Parameters
     ----------
     result : Retargeting
-    folder : Path
+    folder : path
         Made, or a former run of ours to replace.
     seconds : mapping of stage to seconds, optional
         As measured by who ran it; read when the pictures are done.
@@ -68,7 +72,7 @@ def save(
     report = replace(report, **measured(seconds or {}, provenance=report.provenance))
     vertices = result.result.tet_vertices
     write_run(
-        folder,
+        Path(folder),
         report,
         rest=result.result.rest,
         deformed=result.result.deformed,

@@ -111,7 +111,7 @@ def read_surface(path: Path, *, units: Unit = Unit.MILLIMETRE) -> RawSurface:
 
 
 def read_anatomy(
-    source: Path | Sequence[Path],
+    source: str | Path | Sequence[str | Path],
     *,
     units: Unit = Unit.MILLIMETRE,
     kinds: Sequence[tuple[str, TissueKind]] = (),
@@ -122,7 +122,7 @@ def read_anatomy(
 
     Parameters
     ----------
-    source : Path or sequence of Path
+    source : path or sequence of paths
         A folder: its own surface files and those of its subfolders ``bones``, ``muscles``, ``skin`` and ``other`` (also
         in the singular), and nothing deeper; what else lies there is a finding. Or files, and shell-style patterns for
         them (``muscles/*.ply``).
@@ -144,7 +144,13 @@ def read_anatomy(
     MeshError
         A file that cannot be read whole, or a surface that is not closed; the message names the file.
     """
-    paths, findings = _folder(source) if isinstance(source, Path) else (_expanded(source), [])
+    folder: Path | None = None
+    findings: list[Finding] = []
+    if isinstance(source, str | Path):
+        folder = Path(source)
+        paths, findings = _folder(folder)
+    else:
+        paths = _expanded([Path(path) for path in source])
     named = _by_name(paths)
     tissues: list[Tissue] = []
     hashes: dict[str, str] = {}
@@ -155,7 +161,7 @@ def read_anatomy(
             tissue, found = take_in(name, kind, vertices=raw.vertices, faces=raw.faces, source=str(path))
             tissues.append(tissue)
             findings += [*notes, *raw.findings, *found]
-            hashes[(path.relative_to(source) if isinstance(source, Path) else path).as_posix()] = raw.sha256
+            hashes[(path.relative_to(folder) if folder else path).as_posix()] = raw.sha256
             tick(done / len(named))
     _require_used(kinds, tuple(named))
     require_plausible_size(tissues, units={unit.value: unit.in_mm for unit in Unit}, read_in=units.value)

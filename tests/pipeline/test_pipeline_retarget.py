@@ -103,6 +103,17 @@ def test_two_runs_give_the_same_numbers(rig: Path) -> None:
     assert first == second
 
 
+def test_paths_may_be_text(rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "stills", lambda *_, **__: Stills(problem="not in this test"))
+    folder = str(rig.parent / "anatomy")
+    whole = musclefit.read_anatomy(folder)
+    parts = musclefit.read_anatomy([f"{folder}/skin.ply", f"{folder}/bone_*.ply"])
+    assert [len(read.anatomy) for read in (whole, parts)] == [4, 3]
+    assert len(musclefit.read_landmarks(str(rig.parent / "landmarks.csv"))) == LANDMARKS
+    musclefit.save(musclefit.retarget(musclefit.read_rig(str(rig)), tets=None), str(tmp_path / "out"))
+    assert (tmp_path / "out" / "report.json").is_file()
+
+
 # --- the paper's loop and one shot
 
 

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.fields.compact import CompactBackend
+from musclefit.flow.deformation import Deformation
 from musclefit.flow.steppers import HandleStepper, StepMaker
 from musclefit.flow.steps import CayleyStep, Step
-from musclefit.geometry.arrays import Bool, Float, Int, Points
+from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.distances import nearest_places, smooth_normals, thinned
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.subdivision import with_short_edges
 from musclefit.rig.handles import BoneMotions
 
 CORRECTION_KERNEL = "isochoric-wendland-c6"
-CORRECTION_TOLERANCE = 0.02
+CORRECTION_TOLERANCE = 0.01
 """Share of a correction's residual that its iteration may leave; the next level, or the next step, takes it up."""
 
-SPACING_SHARE = 0.2
+SPACING_SHARE = 0.13
 """Sources of a correction stand this share of its support apart: as many as it can tell apart."""
+
+FINEST_MM = 0.5
+"""Sources of the last correction stand this far apart: nearly every sample of the bones."""
 
 PATH_SAMPLES = 9
 """Poses along the path, ends included, at which the contact zone is looked for."""
@@ -39,24 +44,28 @@ class RigidGroup:
     ----------
     bones : tuple of str
     surface : TriMesh
-        All their surfaces at rest.
-    vertices : (v,) int64
-        Where the vertices of ``surface`` stand among the vertices of the anatomy.
+        All their surfaces at rest, cut so finely that its vertices sample them evenly.
     contact : (v,) bool
         Vertices that come close to a bone that moves otherwise, somewhere along the path.
     """
 
     bones: tuple[str, ...]
     surface: TriMesh
-    vertices: Int
     contact: Bool
+
+    @property
+    def exposed(self) -> Points:
+        """(e, 3) vertices outside the contact zone, at rest, mm."""
+        return self.surface.vertices[~self.contact]
 
     def at(self, motions: Mapping[str, RigidMotion]) -> TriMesh:
         """The surface where the motions take it."""
         return self.surface.with_vertices(motions[self.bones[0]](self.surface.vertices))
 
 
-def rigid_groups(anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: float) -> tuple[RigidGroup, ...]:
+def rigid_groups(
+    anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: float, sampled_mm: float
+) -> tuple[RigidGroup, ...]:
     """Bones of the anatomy by common motion, with the contact zones between them.
 
     Parameters
@@ -67,6 +76,8 @@ def rigid_groups(anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: flo
     contact_zone_mm : float
         A vertex belongs to the contact zone when it comes closer than this to the surface of another group at one of
         ``PATH_SAMPLES`` poses.
+    sampled_mm : float
+        No edge of the groups' surfaces is longer.
     """
     samples = [motions.at(float(t)) for t in np.linspace(0.0, 1.0, PATH_SAMPLES)]
     together: list[list[str]] = []
@@ -77,21 +88,21 @@ def rigid_groups(anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: flo
                 break
         else:
             together.append([bone])
-    whole = [_group(anatomy, bones) for bones in together]
-    contact = [np.zeros(len(group.vertices), dtype=bool) for group in whole]
+    whole = [_group(anatomy, bones, sampled_mm) for bones in together]
+    contact = [group.contact.copy() for group in whole]
     for sample in samples:
         surfaces = [group.at(sample) for group in whole]
         for k, surface in enumerate(surfaces):
             for other in (s for j, s in enumerate(surfaces) if j != k):
                 contact[k] |= _closer(surface.vertices, other, contact_zone_mm)
-    return tuple(RigidGroup(g.bones, g.surface, g.vertices, c) for g, c in zip(whole, contact, strict=True))
+    return tuple(replace(group, contact=where) for group, where in zip(whole, contact, strict=True))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoneStepper:
     """A step of the handles, then compact isochoric corrections wide to narrow, then one that puts the handles exactly.
 
-    Exposed vertices of the bones are held to their rigid motion; each correction starts from where the steps before
+    The handles that must arrive exactly and the exposed vertices of the bones (`held_points`) are held to their rigid motion; each correction starts from where the steps before
     took them, so that errors do not add up. In the contact zone two bones slide past each other closer than any tissue
     between them could follow: there only the part along the bone's normal is held, and the field may slip.
 
@@ -101,9 +112,8 @@ class BoneStepper:
         With Cayley steps.
     groups : sequence of RigidGroup
     motions : BoneMotions
-    tested_handles : (m,) int64
-        Where the first m handles, which must arrive exactly, stand among the tested points; the vertices of the anatomy
-        come first there.
+    exact : int
+        The first so many handles must arrive exactly; the others only help the first step.
     supports_mm : sequence of float
         Wide to narrow.
 
@@ -116,8 +126,12 @@ class BoneStepper:
     handles: HandleStepper
     groups: Sequence[RigidGroup]
     motions: BoneMotions
-    tested_handles: Int
+    exact: int
     supports_mm: Sequence[float]
+
+    def held_points(self) -> Points:
+        """(h, 3) points at rest that a march must have as its last tested points, mm."""
+        return np.concatenate([self.handles.path.position(0.0)[: self.exact], *(g.exposed for g in self.groups)])
 
     @property
     def shortens_exactly(self) -> bool:
@@ -127,26 +141,32 @@ class BoneStepper:
     def anchors(self, start: float) -> Points:
         """(a, 3) vertices of the contact zones, exactly on their bones at the start of the stretch."""
         motions = self.motions.at(start)
-        return np.concatenate([np.zeros((0, 3)), *(g.at(motions).vertices[g.contact] for g in self.groups)])
+        return np.concatenate([g.at(motions).vertices[g.contact] for g in self.groups])
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The step of the handles, the corrections, and the handles' last correction."""
         yield from self.handles.makers(start, end)
         motions = self.motions.at(end)
         surfaces = [group.at(motions) for group in self.groups]
-        for support in self.supports_mm:
-            yield self._correction(surfaces, support)
-        yield self._exact(self.handles.path.position(end)[: len(self.tested_handles)])
+        handles = self.handles.path.position(end)[: self.exact]
+        targets = np.concatenate(
+            [handles, *(s.vertices[~g.contact] for g, s in zip(self.groups, surfaces, strict=True))]
+        )
+        for number, support in enumerate(self.supports_mm):
+            last = number == len(self.supports_mm) - 1
+            spacing = FINEST_MM if last else SPACING_SHARE * support
+            yield self._correction(surfaces, targets, support=support, spacing=spacing)
+        yield self._exact(targets)
 
-    def _correction(self, surfaces: Sequence[TriMesh], support: float) -> StepMaker:
+    def _correction(self, surfaces: Sequence[TriMesh], targets: Points, *, support: float, spacing: float) -> StepMaker:
         backend = CompactBackend(CORRECTION_KERNEL, support, tolerance=CORRECTION_TOLERANCE)
 
         def make(tested: Points, anchors: Points) -> Step:
-            held = np.concatenate([tested[g.vertices[~g.contact]] for g in self.groups])
-            missed = np.concatenate([s.vertices[~g.contact] for g, s in self._with(surfaces)]) - held
-            kept = thinned(held, spacing_mm=SPACING_SHARE * support)
+            held = tested[-len(targets) :]
+            missed = targets - held
+            kept = thinned(held, spacing_mm=spacing)
             places, normals = self._contact_targets(surfaces, anchors)
-            slips = thinned(anchors, spacing_mm=SPACING_SHARE * support)
+            slips = thinned(anchors, spacing_mm=spacing)
             off = np.einsum("si,si->s", places - anchors, normals)[slips, None] * normals[slips]
             at = np.vstack([held[kept] + 0.5 * missed[kept], anchors[slips] + 0.5 * off])
             moves = np.vstack([missed[kept], off])
@@ -158,8 +178,8 @@ class BoneStepper:
         backend = CompactBackend(CORRECTION_KERNEL, self.supports_mm[-1])
 
         def make(tested: Points, _anchors: Points) -> Step:
-            now = tested[self.tested_handles]
-            return CayleyStep(backend.fit(0.5 * (now + targets), targets - now))
+            now, there = tested[-len(targets) :][: self.exact], targets[: self.exact]
+            return CayleyStep(backend.fit(0.5 * (now + there), there - now))
 
         return make
 
@@ -175,57 +195,42 @@ class BoneStepper:
                 normals.append(smooth_normals(surface, near))
         return np.concatenate(places), np.concatenate(normals)
 
-    def _with(self, surfaces: Sequence[TriMesh]) -> Iterable[tuple[RigidGroup, TriMesh]]:
-        return zip(self.groups, surfaces, strict=True)
+
+def exposed_residuals(
+    groups: Sequence[RigidGroup], deformation: Deformation, motions: Mapping[str, RigidMotion]
+) -> Float:
+    """Distances of the mapped exposed vertices of the bones from their rigid motion over the whole path, mm."""
+    targets = np.concatenate([group.at(motions).vertices[~group.contact] for group in groups])
+    moved = deformation(np.concatenate([group.exposed for group in groups]))
+    residuals: Float = np.linalg.norm(moved - targets, axis=1)
+    return residuals
 
 
-@dataclass(frozen=True, slots=True)
-class BoneAgreement:
-    """How far the field is from the bones' rigid motions, mm: exposed vertices, and contact ones along the normal."""
+def contact_residuals(groups: Sequence[RigidGroup], deformation: Deformation, motions: BoneMotions) -> Float:
+    """How far the field carries the contact zones off the surface of their own bone, mm, the worst of all stretches.
 
-    exposed: Float
-    contact: Float
-
-
-def agreement(
-    groups: Sequence[RigidGroup], mapped: Callable[[Points], Points], motions: Mapping[str, RigidMotion]
-) -> BoneAgreement:
-    """Distances of the mapped bone vertices from their rigid motion.
-
-    Parameters
-    ----------
-    groups : sequence of RigidGroup
-    mapped : callable
-        The whole map, (N, 3) mm -> (N, 3) mm.
-    motions : mapping of bone to RigidMotion
-        Rest to the end of the path.
-
-    Returns
-    -------
-    BoneAgreement
-        ``exposed``: full distances of the vertices outside the contact zone. ``contact``: distances of the others from
-        the surface of their bone.
+    Each stretch starts from the vertices exactly on their bones; there the field may slip along, but not through.
     """
-    exposed, contact = [np.zeros(0)], [np.zeros(0)]
-    for group in groups:
-        surface = group.at(motions)
-        moved = mapped(group.surface.vertices)
-        exposed.append(np.linalg.norm(moved - surface.vertices, axis=1)[~group.contact])
-        if group.contact.any():
-            contact.append(nearest_places(moved[group.contact], surface).distances)
-    return BoneAgreement(np.concatenate(exposed), np.concatenate(contact))
+    contacts = [group for group in groups if group.contact.any()]
+    worst = np.zeros(sum(int(group.contact.sum()) for group in contacts))
+    for start, end, part in deformation.by_stretch():
+        before, after = motions.at(start), motions.at(end)
+        moved = part(np.concatenate([np.zeros((0, 3)), *(g.at(before).vertices[g.contact] for g in contacts)]))
+        ends = np.cumsum([int(group.contact.sum()) for group in contacts])[:-1]
+        for group, places, kept in zip(contacts, np.split(moved, ends), np.split(worst, ends), strict=True):
+            np.maximum(kept, nearest_places(places, group.at(after)).distances, out=kept)
+    return worst
 
 
-def _group(anatomy: Anatomy, bones: list[str]) -> RigidGroup:
-    where = anatomy.slices()
+def _group(anatomy: Anatomy, bones: list[str], sampled_mm: float) -> RigidGroup:
     surfaces = [anatomy[bone].surface for bone in bones]
     offsets = np.cumsum([0, *(len(s.vertices) for s in surfaces[:-1])])
     surface = TriMesh(
         np.concatenate([s.vertices for s in surfaces]),
         np.concatenate([s.faces + offset for s, offset in zip(surfaces, offsets, strict=True)]),
     )
-    vertices = np.concatenate([np.arange(where[bone].start, where[bone].stop) for bone in bones])
-    return RigidGroup(tuple(bones), surface, vertices, np.zeros(len(vertices), dtype=bool))
+    surface = with_short_edges(surface, longest_mm=sampled_mm)
+    return RigidGroup(tuple(bones), surface, np.zeros(len(surface.vertices), dtype=bool))
 
 
 def _closer(points: Points, surface: TriMesh, limit: float) -> Bool:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import groupby
 from typing import Self
 
 import numpy as np
@@ -57,6 +59,13 @@ class Deformation:
     def stretches(self) -> int:
         """Parts that the path was cut into; each may have several steps."""
         return len({record.start for record in self.records if record.end > record.start})
+
+    def by_stretch(self) -> Iterator[tuple[float, float, Deformation]]:
+        """The parts of the path, each with its start, its end and its own steps."""
+        made = [record for record in self.records if record.end > record.start]
+        for (start, end), part in groupby(zip(made, self.steps, strict=True), key=lambda p: (p[0].start, p[0].end)):
+            records, steps = zip(*part, strict=True)
+            yield start, end, Deformation(steps, records, self.status)
 
     @property
     def rejected(self) -> int:

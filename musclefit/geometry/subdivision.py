@@ -65,6 +65,17 @@ def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:
     return TriMesh(vertices, _split_faces(mesh.faces, middle[edges.of_face], vertices))
 
 
+def with_short_edges(mesh: TriMesh, *, longest_mm: float) -> TriMesh:
+    """The same surface with every edge longer than ``longest_mm`` halved until none is."""
+    while True:
+        edges = FaceEdges.of(mesh.faces)
+        ends = mesh.vertices[edges.ends]
+        long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > longest_mm
+        if not long.any():
+            return mesh
+        mesh = split_edges(mesh, edges, long)
+
+
 def _split_faces(faces: Faces, middles: Int, vertices: Points) -> Faces:
     """Faces with the middles (f, 3) of their split edges (-1: whole) put in."""
     count = (middles >= 0).sum(axis=1)

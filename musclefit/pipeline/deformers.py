@@ -29,6 +29,10 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 )
 
 
+SAMPLED_MM = 3.0
+"""Longest edge of the bones' surfaces where the field is held to them."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Deformed:
     """A deformation and the groups of bones it was brought to agree with (none where bones are not held)."""
@@ -109,25 +113,25 @@ def _baseline_settings(job: Job) -> DeformerSettings:
 
 
 def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
-    """The stepper that follows the bones, and the points to test at: the anatomy's, then the rig's handles."""
+    """The stepper that follows the bones, and the points to test at: the anatomy's, then those it holds."""
     assert job.motions is not None  # a rig with rigid bones is driven by joints
     bones = job.rig.bones
-    groups = rigid_groups(job.anatomy, job.motions, contact_zone_mm=bones.contact_zone_mm)
+    groups = rigid_groups(job.anatomy, job.motions, contact_zone_mm=bones.contact_zone_mm, sampled_mm=SAMPLED_MM)
     handles = _with_spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
     settings = job.rig.deformer
     stepper = BoneStepper(
         HandleStepper(BonePath(handles, job.motions), backend_for(settings), HANDLE_STEPS[settings.step]),
         groups=groups,
         motions=job.motions,
-        tested_handles=len(points) + np.arange(len(job.handles)),
+        exact=len(job.handles),
         supports_mm=bones.supports_mm,
     )
-    return stepper, np.vstack([points, job.handles.source])
+    return stepper, np.vstack([points, stepper.held_points()])
 
 
 def _with_spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles:
     """The rig's handles, and further ones on the exposed bones, none closer than the spacing to another."""
-    exposed = [group.surface.vertices[~group.contact] for group in groups]
+    exposed = [group.exposed for group in groups]
     owner = np.concatenate([[group.bones[0]] * len(part) for group, part in zip(groups, exposed, strict=True)])
     candidates = np.vstack([handles.source, *exposed])
     chosen = thinned(candidates, spacing_mm=spacing_mm)

@@ -11,7 +11,7 @@ import numpy as np
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
-from musclefit.flow.bones import agreement
+from musclefit.flow.bones import contact_residuals, exposed_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.surfaces import Carried, carried, carried_finely
 from musclefit.geometry.arrays import Float, Points
@@ -203,14 +203,16 @@ class _Finisher:
     def _bone_field(self, deformed: Deformed) -> BoneFieldCheck | None:
         if not deformed.groups:
             return None
-        off = agreement(deformed.groups, deformed.deformation, _final_motions(self.job))
+        assert self.job.motions is not None  # held bones are moved by joints
+        exposed = exposed_residuals(deformed.groups, deformed.deformation, _final_motions(self.job))
+        contact = contact_residuals(deformed.groups, deformed.deformation, self.job.motions)
         return BoneFieldCheck(
             contact_zone_mm=self.job.rig.bones.contact_zone_mm,
-            exposed_vertices=len(off.exposed),
-            contact_vertices=len(off.contact),
-            residual_p99_mm=float(np.quantile(off.exposed, 0.99)),
-            residual_max_mm=float(off.exposed.max()),
-            contact_residual_max_mm=float(off.contact.max(initial=0.0)),
+            exposed_vertices=len(exposed),
+            contact_vertices=len(contact),
+            residual_p99_mm=float(np.quantile(exposed, 0.99)),
+            residual_max_mm=float(exposed.max()),
+            contact_residual_max_mm=float(contact.max(initial=0.0)),
         )
 
 

@@ -207,7 +207,7 @@ class BoneSettings:
     Raises
     ------
     RigError
-        A length that is not positive and finite, or supports that do not fall.
+        A length that is not positive and finite, or supports that rise.
     """
 
     rigid: bool = False
@@ -220,8 +220,8 @@ class BoneSettings:
         for key, value in (*lengths.items(), *(("supports_mm", s) for s in self.supports_mm)):
             if not 0.0 < value < math.inf:
                 raise RigError(f"bones.{key}: found {value}; expected a finite length above 0, in mm")
-        if any(b >= a for a, b in pairwise(self.supports_mm)):
-            raise RigError(f"bones.supports_mm: found {list(self.supports_mm)}; expected falling lengths, in mm")
+        if any(b > a for a, b in pairwise(self.supports_mm)):
+            raise RigError(f"bones.supports_mm: found {list(self.supports_mm)}; expected lengths that do not rise, in mm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,8 +257,8 @@ class TetSettings:
     """
 
     enabled: bool = True
-    edge_length_fraction: float = 0.05
-    envelope_fraction: float = 1e-3
+    edge_length_fraction: float = 0.03
+    envelope_fraction: float = 7e-4
 
     def __post_init__(self) -> None:
         for key in ("edge_length_fraction", "envelope_fraction"):

@@ -234,7 +234,7 @@ def _volumes(
 ) -> tuple[dict[Pair, float], tuple[NotChecked, ...]]:
     """The measured volume of each pair, and the pairs whose volume cannot be believed.
 
-    Plain loop on purpose: the booleans use all cores themselves, threads on top gained nothing.
+    Plain loop on purpose: the booleans use all cores themselves.
     """
     volumes, failed = {}, []
     with progress.stage(f"{measure.title} {when}") as tick:

@@ -18,6 +18,7 @@ import musclefit
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.progress import TimedStages
 from musclefit.cli.summary import print_inspection, print_run
+from musclefit.cli.warp_image import warp_image
 from musclefit.errors import InputError, MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
 from musclefit.rig.model import BackendKind, Unit
@@ -149,6 +150,9 @@ def check(
     elif not quiet:
         print_inspection(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
+
+
+app.command(warp_image, name="warp-image", sort_key=4)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -345,7 +345,7 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ((), ("demo", "run", "check", "Exit code 0")),
+        ((), ("demo", "run", "check", "warp-image", "Exit code 0")),
         (("demo",), ("--out", "--no-tets", "--quiet", "--json", "elbow 75")),
         (("run",), ("RIG", "upper_limb", "--out", "--backend", "--set", "--no-tets", "--quiet", "--json")),
         (("check",), ("PATHS", "--out", "--units", "mm, cm, m", "--kind", "--quiet", "--json")),

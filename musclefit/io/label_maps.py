@@ -1,0 +1,74 @@
+"""Segmentations -> anatomies: a NIfTI label map and a table of names; knows files, not how surfaces are made."""
+
+from __future__ import annotations
+
+import csv
+from io import StringIO
+from pathlib import Path
+
+from musclefit.anatomy.labels import LabelName, label_anatomy
+from musclefit.anatomy.model import TissueKind
+from musclefit.errors import InputError
+from musclefit.geometry.images import Frame
+from musclefit.io.surfaces import ReadAnatomy
+from musclefit.io.volumes import read_volume
+from musclefit.progress import Progress
+
+COLUMNS = ("value", "name", "kind")
+
+
+def read_label_names(path: Path) -> tuple[LabelName, ...]:
+    """Read a CSV table with the columns value, name and kind (skin, muscle, bone or other).
+
+    Raises
+    ------
+    InputError
+        No such file, a column that is missing, a value that is no whole number, or a kind that is not known.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a table of labels ({error}); correct the path or the file"
+        ) from None
+    rows = list(csv.DictReader(StringIO(text)))
+    missing = [column for column in COLUMNS if not rows or column not in rows[0]]
+    if missing:
+        raise InputError(
+            f"{path}: has no column {missing[0]!r}; a table of labels has the columns {', '.join(COLUMNS)}"
+        )
+    names = []
+    for number, row in enumerate(rows, start=2):
+        kind = (row["kind"] or "").strip()
+        if kind not in list(TissueKind):
+            raise InputError(f"{path}: line {number}: kind is {kind!r}; known are {', '.join(TissueKind)}")
+        try:
+            value = int(row["value"])
+        except (TypeError, ValueError):
+            raise InputError(f"{path}: line {number}: value is {row['value']!r}; expected a whole number") from None
+        names.append(LabelName(value, (row["name"] or "").strip(), TissueKind(kind)))
+    return tuple(names)
+
+
+def read_label_anatomy(image: Path, names: Path, *, frame: Frame, progress: Progress | None = None) -> ReadAnatomy:
+    """The layered surfaces of a segmentation, as 3D Slicer or TotalSegmentator export it.
+
+    Parameters
+    ----------
+    image : Path
+        NIfTI label map.
+    names : Path
+        See `read_label_names`.
+    frame : Frame
+        Of the surfaces.
+
+    Raises
+    ------
+    InputError, MeshError
+        See `read_label_names`, `musclefit.io.volumes.read_volume` and `musclefit.anatomy.labels.label_anatomy`.
+    """
+    volume = read_volume(image)
+    anatomy, findings = label_anatomy(
+        volume.values, volume.grid, names=read_label_names(names), frame=frame, source=str(image), progress=progress
+    )
+    return ReadAnatomy(anatomy, findings, {image.name: volume.sha256})

@@ -5,8 +5,8 @@
 The anatomy is nilearn's MNI white matter at 1 mm (extra ``examples``). The crown of a gyrus of the left hemisphere is
 pulled 22 mm forwards and up by 8 landmarks while 20 landmarks around it stay. The same 28 landmarks drive a lattice of
 350 control points in one shot (least-norm B-splines), the iterative FFD and the iterative RBF. Counted are folded
-voxels (Jacobian determinant not positive) in the box around the gyrus, and pairs of triangles of the white matter's isosurface
-that cross.
+voxels (Jacobian determinant not positive) in the box around the gyrus, and pairs of triangles of the white
+matter's isosurface that cross.
 """
 
 from __future__ import annotations

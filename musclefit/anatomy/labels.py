@@ -2,8 +2,8 @@ r"""Label maps -> layered surfaces: one closed surface for each label, none of w
 
 Each label's mask is smoothed by a Gaussian, G_l, and its surface is the level set of
 :math:`F_l = G_l - \max_{k \ne l} G_k` at a small positive level, background included. Where :math:`F_l` is
-positive no other label's F can be, so tissues that touch in the image are left a hair apart, and stairs of voxels become
-smooth.
+positive no other label's F can be, so tissues that touch in the image are left a hair apart, and stairs of voxels
+become smooth.
 """
 
 from __future__ import annotations

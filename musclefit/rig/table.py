@@ -118,7 +118,8 @@ def apply_overrides(table: Mapping[str, Any], overrides: Sequence[str], *, sourc
     table : mapping
         Left as it is.
     overrides : sequence of str
-        Each ``key=value``: a dotted key and a TOML value; a value that is no TOML, such as ``r3``, is text.
+        Each ``key=value``: a dotted key and a TOML value; a value that is no TOML, such as ``r3``, is text. Another
+        ``deformer.backend`` leaves out the keys of the file that only the file's own backend has a use for.
     source : str
         The file, for messages.
 
@@ -142,6 +143,7 @@ def apply_overrides(table: Mapping[str, Any], overrides: Sequence[str], *, sourc
             if not isinstance(inner, dict):
                 raise RigError(f"{where}: {part} is not a table in the file; correct the file")
         inner[path[-1]] = value
+    _leave_other_backends(changed, overrides)
     return changed
 
 
@@ -258,6 +260,19 @@ def _pose(section: Section) -> tuple[tuple[str, float], ...]:
                 key, f"must be the name of a joint and its unit, such as elbow{_POSE_SUFFIX}; angles are in degrees"
             )
     return tuple((key.removesuffix(_POSE_SUFFIX), section.number(key)) for key in section.table)
+
+
+def _leave_other_backends(table: dict[str, Any], overrides: Sequence[str]) -> None:
+    """Remove keys that the overriding backend has no use for, unless they are given beside it."""
+    given = {override.partition("=")[0].strip() for override in overrides}
+    deformer = table.get("deformer")
+    if "deformer.backend" not in given or not isinstance(deformer, dict):
+        return
+    for backend, keys in _IDLE_KEYS.items():
+        if deformer.get("backend") == backend.value:
+            for key in keys:
+                if f"deformer.{key}" not in given:
+                    deformer.pop(key, None)
 
 
 def _override_path(dotted: str, *, where: str) -> list[str]:

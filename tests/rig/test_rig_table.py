@@ -396,3 +396,22 @@ def test_whatever_stands_under_a_key_gives_a_rig_or_a_rig_error_that_names_the_f
     except RigError as error:
         message = str(error)
     assert message.startswith("arm.toml: ")
+
+
+def test_another_backend_leaves_the_former_ones_keys_behind() -> None:
+    table = rig_table(deformer__kernel="r3")
+    changed = apply_overrides(table, ["deformer.backend=ffd", "deformer.lattice_spacing_mm=15"], source="r.toml")
+    deformer = parse_rig(changed, source="r.toml").deformer
+    assert (deformer.backend.value, deformer.lattice_spacing_mm) == ("ffd", 15.0)
+    same = apply_overrides(table, ["deformer.backend=rbf"], source="r.toml")
+    assert parse_rig(same, source="r.toml").deformer.kernel.value == "r3"
+
+
+@pytest.mark.parametrize(
+    ("backend", "key", "value"),
+    [("ffd", "kernel", "r3"), ("rbf", "lattice_levels", "3"), ("rbf", "lattice_spacing_mm", "9")],
+)
+def test_keys_of_the_other_backend_are_errors(backend: str, key: str, value: str) -> None:
+    table = apply_overrides(rig_table(), [f"deformer.backend={backend}", f"deformer.{key}={value}"], source="r.toml")
+    with pytest.raises(RigError, match=f'r.toml: deformer.{key}: has no effect on backend "{backend}"; remove it'):
+        parse_rig(table, source="r.toml")

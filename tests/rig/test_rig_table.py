@@ -118,12 +118,12 @@ def test_a_cage_is_read() -> None:
 WRONG = {
     "anatomi": (
         rig_table(anatomi={}),
-        r"arm.toml: anatomi: unknown section; did you mean 'anatomy'\? known: anatomy, deformer, drive, limits",
+        r"arm.toml: anatomi: unknown section; did you mean 'anatomy'\? known: anatomy, .*deformer, drive, limits",
     ),
     "titel": (rig_table(titel="x"), "arm.toml: titel: unknown key; did you mean 'title'"),
     "kernal": (
         rig_table(deformer__kernal="r3"),
-        "arm.toml: deformer.kernal: unknown key; did you mean 'kernel'.*backend, kernel, lattice_levels, lattice_spacing_mm, max_steps, path",
+        "arm.toml: deformer.kernal: unknown key; did you mean 'kernel'.*backend, kernel, .*max_steps, .*path",
     ),
     "far from any": (rig_table(limits__qqq=1), "arm.toml: limits.qqq: unknown key; known: bone_rigidity_mm"),
     "drive key": (rig_table(drive__posee=1), r"arm.toml: drive.posee: unknown key; did you mean 'pose'\?"),

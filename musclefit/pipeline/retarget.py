@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ import numpy as np
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.certify.maps import certify_map
 from musclefit.flow.bones import contact_residuals, exposed_residuals
 from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surfaces import Carried, carried, carried_finely
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
@@ -27,12 +30,17 @@ from musclefit.pipeline.deformers import (
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side
 from musclefit.rig.job import Job
+from musclefit.rig.model import StepKind
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
-from musclefit.validate.model import BoneFieldCheck
+from musclefit.validate.model import BoneFieldCheck, MapCheck, MapClaim
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets
 from musclefit.validate.tissues import check_tissues
+
+STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
+    {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -163,7 +171,7 @@ class _Finisher:
                 status=CONVERGED if deformation.status is Status.CONVERGED else deformation.status.value,
                 steps=deformation.stretches,
                 landmarks=landmarks,
-                map=check_map(moved.determinants, points=moved.rest.vertices(), rule=rule, margin=deformation.margin),
+                map=self._map(deformation, moved, rule),
                 mesh=None if self.tets is None or tet_vertices is None else check_tets(self.tets, tet_vertices),
                 tissues=check_tissues(moved.rest, moved.deformed, motions=_final_motions(job), outside=outside),
                 overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
@@ -199,6 +207,29 @@ class _Finisher:
             for t in moved.deformed
         )
         return replace(moved, deformed=Anatomy(tissues, moved.deformed.frame))
+
+    def _map(self, deformation: Deformation, moved: Carried, rule: str) -> MapCheck:
+        """The sampled check, and above it the proof where the rig asks for one."""
+        points = moved.rest.vertices()
+        sampled = check_map(moved.determinants, points=points, rule=rule, margin=deformation.margin)
+        settings = self.job.rig.certificate
+        if not settings.enabled or not deformation.steps:
+            return sampled
+        skin = self.job.anatomy.skin
+        proof = certify_map(
+            [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
+            points if skin is None else skin.surface,
+            max_boxes=settings.max_boxes,
+            progress=self.progress,
+        )
+        refuted = MapClaim.REFUTED in (sampled.claim, proof.claim)
+        return replace(
+            sampled,
+            claim=MapClaim.REFUTED if refuted else proof.claim,
+            margin=proof.margin,
+            boxes_examined=proof.boxes_examined,
+            boxes_left=proof.boxes_left,
+        )
 
     def _bone_field(self, deformed: Deformed) -> BoneFieldCheck | None:
         if not deformed.groups:

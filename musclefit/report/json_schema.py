@@ -78,6 +78,13 @@ def _side_properties() -> Schema:
             "description": "The deformed tetrahedra; null where none were made.",
             "oneOf": [_mesh(), {"type": "null"}],
         },
+        "steps_rejected": _count("Stretches of the path that were tried and cut shorter."),
+        "edges_split": _count("Edges of the surfaces that were split because the map bends them."),
+        "edges_left_bent": _count("Edges still bent beyond the tolerance."),
+        "bones": {
+            "description": "The field at the bones; null where bones are not held rigid.",
+            "oneOf": [_bones(), {"type": "null"}],
+        },
         "tissues": _list(_tissue(), "All tissues, outermost first."),
         "overlaps": _list(_overlap(), "Overlapping pairs, largest first."),
         "overlap_total": _record(_overlap_volumes(), "Overlap volumes summed over all pairs."),
@@ -128,8 +135,24 @@ def _map() -> Schema:
             "maxItems": 3,
             "description": "The worst place, in rest positions, mm.",
         },
+        "boxes_examined": _count("Boxes of space that the proof examined; 0 where none was tried."),
+        "boxes_left": _count("Boxes that it could not decide."),
     }
     return _record(properties, "Is the map one-to-one?")
+
+
+def _bones() -> Schema:
+    residual = {"p99": _number("99th percentile, mm."), "max": _number("Largest, mm.")}
+    properties = {
+        "contact_zone_mm": _number("Places of a bone that come closer than this to one that moves otherwise, mm."),
+        "exposed_vertices": _count("Samples of the bones outside the contact zone."),
+        "contact_vertices": _count("Samples inside it, where the field may slip along the bone."),
+        "field_residual_mm": _record(residual, "Distance of the field from the rigid motion at the exposed samples."),
+        "contact_residual_max_mm": _number(
+            "Largest distance from the bone's surface to which a step takes a sample, mm."
+        ),
+    }
+    return _record(properties, "How well the field agrees with the bones, which themselves are moved exactly.")
 
 
 def _mesh() -> Schema:

@@ -19,7 +19,7 @@ from musclefit.report.model import (
     verdict_of,
 )
 from musclefit.rig.model import Limits
-from musclefit.validate.model import Check, MapCheck, MeshCheck, NotChecked, PairOverlap, TissueCheck
+from musclefit.validate.model import BoneFieldCheck, Check, MapCheck, MeshCheck, NotChecked, PairOverlap, TissueCheck
 
 __all__ = ["Json", "mesh_report_schema", "report_schema", "to_json"]
 
@@ -84,6 +84,10 @@ def _side(side: Side, limits: Limits) -> Json:
         },
         "map": _map(side.map),
         "mesh": None if side.mesh is None else _mesh(side.mesh),
+        "steps_rejected": int(side.steps_rejected),
+        "edges_split": int(side.edges_split),
+        "edges_left_bent": int(side.edges_left_bent),
+        "bones": None if side.bones is None else _bones(side.bones),
         "tissues": [_tissue(t) for t in side.tissues],
         "overlaps": [_pair(p) for p in side.overlaps.pairs],
         "overlap_total": {
@@ -106,6 +110,18 @@ def _map(found: MapCheck) -> Json:
         "folded_points": int(found.folded_points),
         "min_jacobian_determinant": _number(found.min_jacobian_determinant),
         "place_mm": [_number(x) for x in found.place_mm],
+        "boxes_examined": int(found.boxes_examined),
+        "boxes_left": int(found.boxes_left),
+    }
+
+
+def _bones(found: BoneFieldCheck) -> Json:
+    return {
+        "contact_zone_mm": _number(found.contact_zone_mm),
+        "exposed_vertices": int(found.exposed_vertices),
+        "contact_vertices": int(found.contact_vertices),
+        "field_residual_mm": {"p99": _number(found.residual_p99_mm), "max": _number(found.residual_max_mm)},
+        "contact_residual_max_mm": _number(found.contact_residual_max_mm),
     }
 
 

@@ -221,7 +221,9 @@ class BoneSettings:
             if not 0.0 < value < math.inf:
                 raise RigError(f"bones.{key}: found {value}; expected a finite length above 0, in mm")
         if any(b > a for a, b in pairwise(self.supports_mm)):
-            raise RigError(f"bones.supports_mm: found {list(self.supports_mm)}; expected lengths that do not rise, in mm")
+            raise RigError(
+                f"bones.supports_mm: found {list(self.supports_mm)}; expected lengths that do not rise, in mm"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,6 +246,23 @@ class SurfaceSettings:
             raise RigError(
                 f"surfaces.chord_tolerance_mm: found {self.chord_tolerance_mm}; expected a finite length above 0, in mm"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateSettings:
+    """Whether to prove that the map is one-to-one inside the skin, and how many boxes of space that may take.
+
+    Raises
+    ------
+    RigError
+        ``max_boxes`` below 1.
+    """
+
+    enabled: bool = True
+    max_boxes: int = 2_000_000
+
+    def __post_init__(self) -> None:
+        _at_least_one("certificate.max_boxes", self.max_boxes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,6 +329,7 @@ class Rig:
     deformer: DeformerSettings = field(default_factory=DeformerSettings)
     bones: BoneSettings = field(default_factory=BoneSettings)
     surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
+    certificate: CertificateSettings = field(default_factory=CertificateSettings)
     tets: TetSettings = field(default_factory=TetSettings)
     limits: Limits = field(default_factory=Limits)
 

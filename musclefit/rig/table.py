@@ -20,6 +20,7 @@ from musclefit.rig.model import (
     BackendKind,
     BoneSettings,
     CageDrive,
+    CertificateSettings,
     DeformerSettings,
     Drive,
     JointDrive,
@@ -41,6 +42,7 @@ Record = TypeVar(
     DeformerSettings,
     BoneSettings,
     SurfaceSettings,
+    CertificateSettings,
     TetSettings,
     Limits,
 )
@@ -94,7 +96,7 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
         would have no effect, or a key that is missing. The message starts with the file and the dotted key.
     """
     root = Section(table, source)
-    root.refuse_unknown(("title", "anatomy", "drive", "deformer", "bones", "surfaces", "tets", "limits"))
+    root.refuse_unknown(("title", "anatomy", "drive", "deformer", "bones", "surfaces", "certificate", "tets", "limits"))
     root.require(("title", "anatomy", "drive"))
     title = root.text("title")
     anatomy = _anatomy(root.section("anatomy"))
@@ -102,10 +104,11 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     deformer = _deformer(_optional(root, "deformer"))
     bones = _record(BoneSettings, _optional(root, "bones"))
     surfaces = _record(SurfaceSettings, _optional(root, "surfaces"))
+    certificate = _record(CertificateSettings, _optional(root, "certificate"))
     tets = _record(TetSettings, _optional(root, "tets"))
     limits = _record(Limits, _optional(root, "limits"))
     try:
-        return Rig(title, anatomy, drive, deformer, bones, surfaces, tets, limits)
+        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, limits)
     except RigError as error:
         raise RigError(f"{source}: {error}") from None
 
@@ -155,6 +158,7 @@ def known_keys() -> tuple[str, ...]:
         "deformer": (DeformerSettings,),
         "bones": (BoneSettings,),
         "surfaces": (SurfaceSettings,),
+        "certificate": (CertificateSettings,),
         "tets": (TetSettings,),
         "limits": (Limits,),
     }

@@ -380,7 +380,7 @@ def test_the_installed_script_runs_and_leaves_the_current_folder_empty(
     assert list(surroundings.iterdir()) == []
     refused = subprocess.run([installed(), "run", "gone"], capture_output=True, text=True, check=False)
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert refused.stderr == "musclefit: no rig is named 'gone'; known: forearm, upper_limb\n"
+    assert re.fullmatch(r"musclefit: no rig is named 'gone'; known: .*upper_limb.*\n", refused.stderr)
 
 
 def test_a_reader_that_leaves_early_sees_no_traceback(rig: Path) -> None:

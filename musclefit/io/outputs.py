@@ -135,7 +135,7 @@ def write_run(
         for safe, png in zip(captions.values(), pictures.values(), strict=True):
             (build / PICTURES / f"{safe}.png").write_bytes(png)
         page = render_html(report, pictures=pictures, pictures_problem=pictures_problem)
-        (build / REPORT_HTML).write_text(page, encoding="utf-8")
+        (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 
     return _write_folder(folder, fill, {**to_json(report), "surfaces": surfaces})
 
@@ -144,7 +144,8 @@ def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
     """Write the report of an anatomy as it is, as JSON and as a page; whole or not at all, as ``write_run``."""
 
     def fill(build: Path) -> None:
-        (build / REPORT_HTML).write_text(render_inspection(report), encoding="utf-8")
+        page = render_inspection(report)
+        (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 
     return _write_folder(folder, fill, to_json(report))
 
@@ -229,7 +230,8 @@ def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json) -> t
         others = sorted(path.relative_to(build).as_posix() for path in build.rglob("*") if path.is_file())
         files = [REPORT_JSON, *others]
         text = json.dumps({**report, "files": files}, indent=2, allow_nan=False, ensure_ascii=False)
-        (build / REPORT_JSON).write_text(text + "\n", encoding="utf-8")
+        # a path that is no text is escaped, as JSON does
+        (build / REPORT_JSON).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
     return tuple(folder / name for name in files)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -225,6 +226,20 @@ def test_a_terminal_that_cannot_show_a_name_gets_it_escaped(
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii"))
     assert main(["run", str(rig), "--out", str(out), "--set", "limits.bone_rigidity_mm=0.001"]) == 1
     assert b"bone_\\u043b" in shown.getvalue()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere every path is text")
+def test_a_folder_whose_name_is_no_text_is_escaped(rig: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = rig.parent.with_name(os.fsdecode(b"l\xf6sung"))
+    rig.parent.rename(folder)
+    assert main(["run", str(folder / "tiny.toml"), "--out", str(out)]) == 0
+    assert "l\udcf6sung" in read(out)["provenance"]["settings"]["anatomy"]["folder"]
+    shutil.rmtree(out)
+    assert main(["check", str(folder / "anatomy"), "--out", str(out)]) == 0
+    assert "l\\udcf6sung" in (out / "report.html").read_text(encoding="utf-8")
+    assert "l\udcf6sung" in read(out)["title"]
+    assert main(["check", str(folder / "anatomy"), "--json"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 # --- check

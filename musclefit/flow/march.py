@@ -22,6 +22,9 @@ SHORTEST_REACH = 1e-6
 RETRY_SHARE = 0.9
 """A rejected stretch is tried again at this share of what the rule left of it (and at most at half)."""
 
+STRICTLY_BELOW = 1.0 - 1e-6
+"""The rules are strict: a step shortened to its limit stays this share below it, where det may still be 0 at it."""
+
 BESIDE = 1e-6
 """How far from a handle its one-sided gradients are taken, as a fraction of the handles' extent."""
 
@@ -136,9 +139,10 @@ def _stretch(stepper: Stepper, *, rule: Rule, points: Points, start: float, reac
             more = (StepRecord(start, end, m, p) for m, p in zip(tried.margins[1:], tried.places[1:], strict=True))
             return _Stretch(tried.steps, (first, *more), tried.moved, end)
         if stepper.shortens_exactly:
-            shortened = ExplicitStep(tried.step.field.scaled(tried.fraction * share))
-            end = start + tried.fraction * share * (end - start)
-            return _Stretch((shortened,), (StepRecord(start, end, 1.0 - share, tried.place),), shortened(points), end)
+            used = share * STRICTLY_BELOW
+            shortened = ExplicitStep(tried.step.field.scaled(tried.fraction * used))
+            end = start + tried.fraction * used * (end - start)
+            return _Stretch((shortened,), (StepRecord(start, end, 1.0 - used, tried.place),), shortened(points), end)
         rejected.append(end)
         end = start + (end - start) * min(0.5, RETRY_SHARE * tried.fraction * share)
         if end - start < SHORTEST_REACH * (1.0 - start):

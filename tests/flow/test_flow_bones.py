@@ -1,0 +1,158 @@
+"""Rigid bones in the field, slip in the contact zone, and surfaces as fine as the map needs, on a hinge of two rods."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+import trimesh
+
+from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.fields.rbf import RadialBackend
+from musclefit.flow.bones import BoneStepper, contact_residuals, exposed_residuals, rigid_groups
+from musclefit.flow.deformation import Status
+from musclefit.flow.march import Pace, march
+from musclefit.flow.rules import cayley_fractions
+from musclefit.flow.steppers import HandleStepper, cayley_step
+from musclefit.flow.surfaces import carried, carried_finely
+from musclefit.geometry.crossings import self_crossings
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.solids import overlap_volume, solid_of
+from musclefit.geometry.volumes import enclosed_volume
+from musclefit.progress import Silent
+from musclefit.rig.handles import BonePath, Handles
+
+
+class Hinge:
+    """The lower rod turns about the x axis through the origin; the others keep their place."""
+
+    def __init__(self, degrees: float) -> None:
+        self.degrees = degrees
+
+    def at(self, t: float):
+        turn = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([1.0, 0.0, 0.0]), angle_deg=t * self.degrees)
+        return MappingProxyType(
+            {"bone_upper": RigidMotion.identity(), "bone_cap": RigidMotion.identity(), "bone_lower": turn}
+        )
+
+
+def rod(low: float, high: float) -> TriMesh:
+    mesh = trimesh.creation.capsule(height=high - low - 12.0, radius=6.0, count=[12, 12])
+    mesh.apply_translation([0.0, 0.0, low - mesh.bounds[0, 2]])
+    return TriMesh(np.array(mesh.vertices), np.array(mesh.faces))
+
+
+def blob(centre: tuple[float, float, float], radii: tuple[float, float, float]) -> TriMesh:
+    mesh = trimesh.creation.icosphere(2)
+    return TriMesh(np.array(mesh.vertices) * radii + centre, np.array(mesh.faces))
+
+
+ANATOMY = Anatomy(
+    (
+        Tissue("bone_upper", TissueKind.BONE, rod(1.2, 60.0)),
+        Tissue("bone_cap", TissueKind.BONE, blob((0.0, 0.0, 75.0), (5.0, 5.0, 5.0))),
+        Tissue("bone_lower", TissueKind.BONE, rod(-60.0, -1.2)),
+        Tissue("muscle_front", TissueKind.MUSCLE, blob((0.0, 12.0, 0.0), (5.0, 5.0, 40.0))),
+    ),
+    "test",
+)
+MOTIONS = Hinge(40.0)
+GROUPS = rigid_groups(ANATOMY, MOTIONS, contact_zone_mm=4.0, sampled_mm=3.0)
+
+
+def on_the_rods() -> Handles:
+    parts = {bone: ANATOMY[bone].surface.vertices[::17] for bone in ("bone_upper", "bone_lower")}
+    owner = tuple(bone for bone, part in parts.items() for _ in part)
+    source = np.concatenate(list(parts.values()))
+    return Handles(tuple(f"h{k}" for k in range(len(source))), source, owner)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    handles = on_the_rods()
+    path = BonePath(handles, MOTIONS)
+    stepper = BoneStepper(
+        HandleStepper(path, RadialBackend("isochoric-r3"), cayley_step),
+        groups=GROUPS,
+        motions=MOTIONS,
+        exact=5,
+        supports_mm=(30.0, 10.0),
+    )
+    tested = np.vstack([ANATOMY.vertices(), stepper.held_points()])
+    return stepper, path, march(stepper, rule=cayley_fractions, tested=tested, pace=Pace(50, 3)).require()
+
+
+def test_bones_that_move_as_one_are_one_group():
+    assert [group.bones for group in GROUPS] == [("bone_cap", "bone_upper"), ("bone_lower",)]
+
+
+def test_the_contact_zone_is_where_the_groups_come_close():
+    upper, lower = GROUPS
+    assert upper.contact.any()
+    assert lower.contact.any()
+    assert (np.abs(upper.surface.vertices[upper.contact, 2]) < 12.0).all()
+    for degrees in (0.0, 20.0, 40.0):
+        turned = lower.at(Hinge(degrees).at(1.0)).vertices
+        gap = np.linalg.norm(turned[:, None] - upper.exposed[None], axis=2).min()
+        assert gap > 3.0
+
+
+def test_the_field_follows_the_bones(bent):
+    _, path, deformation = bent
+    assert deformation.status is Status.CONVERGED
+    residuals = exposed_residuals(GROUPS, deformation, MOTIONS.at(1.0))
+    assert np.quantile(residuals, 0.99) < 0.03
+    assert residuals.max() < 0.3
+    first = path.handles.source[:5]
+    np.testing.assert_allclose(deformation(first), path.position(1.0)[:5], rtol=0, atol=1e-9)
+
+
+def test_the_handles_alone_do_not_keep_bones_rigid(bent):
+    stepper, _, _ = bent
+    plain = march(stepper.handles, rule=cayley_fractions, tested=ANATOMY.vertices(), pace=Pace(50, 3)).require()
+    assert np.quantile(exposed_residuals(GROUPS, plain, MOTIONS.at(1.0)), 0.99) > 0.1
+
+
+def test_the_contact_zone_slips_along_its_bone_and_not_through(bent):
+    _, _, deformation = bent
+    off = contact_residuals(GROUPS, deformation, MOTIONS)
+    assert len(off) == sum(int(group.contact.sum()) for group in GROUPS)
+    assert off.max() < 1.0
+
+
+def test_stretches_compose_to_the_whole(bent):
+    _, _, deformation = bent
+    points = ANATOMY.vertices()
+    moved, starts = points, []
+    for start, end, part in deformation.by_stretch():
+        moved = part(moved)
+        starts.append((start, end))
+    np.testing.assert_array_equal(moved, deformation(points))
+    assert len(starts) == deformation.stretches == 3
+    assert starts[-1][1] == 1.0
+
+
+def test_fine_surfaces_keep_the_muscle_volume_and_its_distance_from_bone(bent):
+    _, _, deformation = bent
+    whole = frozenset(t.name for t in ANATOMY.of_kind(TissueKind.BONE))
+    coarse = carried(ANATOMY, deformation)
+    fine = carried_finely(ANATOMY, deformation, tolerance_mm=0.02, whole=whole, progress=Silent())
+    rest = enclosed_volume(ANATOMY["muscle_front"].surface)
+    errors = [abs(enclosed_volume(c.deformed["muscle_front"].surface) / rest - 1.0) for c in (coarse, fine)]
+    assert errors[1] < 0.002
+    assert errors[1] < errors[0]
+    assert fine.undecided_edges == 0
+    assert set(fine.splits) == {"muscle_front"}
+    assert len(fine.determinants) == len(fine.rest.vertices())
+    assert enclosed_volume(fine.rest["muscle_front"].surface) == pytest.approx(rest, rel=1e-12)
+    muscle = fine.deformed["muscle_front"].surface
+    assert len(self_crossings(muscle).pairs) == 0
+    for bone in whole:
+        moved = ANATOMY[bone].surface.with_vertices(MOTIONS.at(1.0)[bone](ANATOMY[bone].surface.vertices))
+        assert overlap_volume(solid_of(muscle), solid_of(moved)) < 1e-6
+    given = slice(0, len(coarse.rest["muscle_front"].surface.vertices))
+    np.testing.assert_allclose(
+        muscle.vertices[given], coarse.deformed["muscle_front"].surface.vertices, rtol=0, atol=1e-9
+    )

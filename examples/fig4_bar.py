@@ -113,7 +113,8 @@ def bent_axis(length_mm: float, angle_deg: float, *, stations: int) -> Points:
         return np.stack([0.0 * along, 0.0 * along, along], axis=1)
     curvature = np.deg2rad(angle_deg) / length_mm
     turned = curvature * along
-    return np.stack([1.0 - np.cos(turned), 0.0 * turned, np.sin(turned)], axis=1) / curvature
+    bent: Points = np.stack([1.0 - np.cos(turned), 0.0 * turned, np.sin(turned)], axis=1) / curvature
+    return bent
 
 
 def skeleton_paths(length_mm: float) -> dict[str, SkeletonPath]:
@@ -195,36 +196,38 @@ def print_table(case: str, rows: list[Row | None]) -> None:
 
 
 def draw(rows: list[Row | None], path: SkeletonPath, mesh: TetMesh, file: FilePath) -> None:
-    """The bar after every method, coloured by tet volume ratio; inverted tets are magenta."""
+    """The bar at rest and after every method, coloured by tet volume ratio; inverted tets are magenta."""
     import pyvista as pv
 
-    shown = [row for row in rows if row is not None]
-    plotter = pv.Plotter(off_screen=True, shape=(1, len(shown)), window_size=(520 * len(shown), 760), border=False)
+    shown: list[Row | None] = [None, *(row for row in rows if row is not None)]
+    columns = (len(shown) + 1) // 2
+    plotter = pv.Plotter(off_screen=True, shape=(2, columns), window_size=(480 * columns, 1000), border=False)
     plotter.set_background("white")
     cells = np.column_stack([np.full(len(mesh.tets), 4), mesh.tets])
-    ends = path.position(1.0)
-    middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
-    for column, row in enumerate(shown):
-        plotter.subplot(0, column)
-        grid = pv.UnstructuredGrid(cells, np.full(len(mesh.tets), pv.CellType.TETRA), row.moved)
-        grid["volume ratio"] = row.ratios
+    for place, row in enumerate(shown):
+        plotter.subplot(place // columns, place % columns)
+        vertices, ratios = (mesh.vertices, np.ones(len(mesh.tets))) if row is None else (row.moved, row.ratios)
+        grid = pv.UnstructuredGrid(cells, np.full(len(mesh.tets), pv.CellType.TETRA), np.array(vertices))
+        grid["volume ratio"] = ratios
         plotter.add_mesh(
-            grid.extract_cells(row.ratios > 0.0).extract_surface(algorithm="dataset_surface"),
+            grid.extract_cells(ratios > 0.0).extract_surface(algorithm="dataset_surface"),
             scalars="volume ratio",
             clim=(0.0, 2.0),
             cmap="PuOr_r",
             show_edges=True,
             edge_opacity=0.25,
-            show_scalar_bar=column == len(shown) - 1,
+            show_scalar_bar=place == len(shown) - 1,
         )
-        if (row.ratios <= 0.0).any():
-            plotter.add_mesh(grid.extract_cells(row.ratios <= 0.0), color="magenta", show_scalar_bar=False)
+        if (ratios <= 0.0).any():
+            plotter.add_mesh(grid.extract_cells(ratios <= 0.0), color="magenta", show_scalar_bar=False)
+        ends = path.position(0.0 if row is None else 1.0)
         plotter.add_points(ends[:STATIONS], color="red", point_size=10, render_points_as_spheres=True)
         plotter.add_points(ends[STATIONS:], color="black", point_size=8, render_points_as_spheres=True)
-        name = row.method.replace(", ", ",\n", 1)
-        plotter.add_text(f"{name}\n{row.inverted} inverted, {row.steps} steps", font_size=10, color="black")
+        said = "" if row is None else f"{row.ended}, steps: {row.steps}, inverted tets: {row.inverted}"
+        plotter.add_text(f"{'rest' if row is None else row.method}\n{said}", font_size=9, color="black")
+        middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
         plotter.camera.focal_point = middle
-        plotter.camera.position = middle + np.array([25.0, -105.0, 45.0])
+        plotter.camera.position = middle + np.array([22.0, -100.0, 42.0])
         plotter.camera.up = (0.0, 0.0, 1.0)
     plotter.screenshot(file)
     plotter.close()

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from musclefit.figures.rendering import rendering_problem
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-STARTED_ONLY = ("fig5_gyrus.py", "fig6_child_adult.py")
-"""Examples that run for minutes or need data: they must import, and tell their options."""
+STARTED_ONLY = {"fig5_gyrus.py": "--out", "fig6_child_adult.py": "--out", "forearm_backends.py": "--no-certificate"}
+"""Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
 
 
 def run(script: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -23,7 +25,7 @@ def run(script: str, *arguments: str, folder: Path) -> subprocess.CompletedProce
 
 def test_every_example_is_tested() -> None:
     found = {path.name for path in EXAMPLES.glob("*.py")}
-    assert found <= {"retarget_script.py", *STARTED_ONLY}
+    assert found <= {"retarget_script.py", "fig1_subdivision.py", "fig4_bar.py", *STARTED_ONLY}
 
 
 @pytest.mark.parametrize("script", STARTED_ONLY)
@@ -32,7 +34,7 @@ def test_longer_examples_start(script: str, tmp_path: Path) -> None:
         pytest.skip(f"there is no examples/{script}")
     ended = run(script, "--help", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    assert "--out" in ended.stdout
+    assert STARTED_ONLY[script] in ended.stdout
     assert list(tmp_path.iterdir()) == []
 
 
@@ -48,3 +50,49 @@ def test_the_retargeting_script_writes_its_report(tmp_path: Path) -> None:
     said = [re.fullmatch(r"(ok|FAIL) +(.+): \S+ .*", line) for line in checks]
     assert [(m[2], m[1] == "ok") for m in said if m] == [(c["name"], c["passed"]) for c in report["checks"]]
     assert len((EXAMPLES / "retarget_script.py").read_text(encoding="utf-8").splitlines()) <= 20
+
+
+def table_rows(printed: str) -> list[list[str]]:
+    """The cells of a printed table's lines, without its heads."""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in printed.splitlines() if line[:1] == "|"]
+    return [cells for cells in lines if cells[0] not in ("case", "method") and not cells[0].startswith("---")]
+
+
+def test_fig1_folds_in_one_shot_and_not_after_subdivision(tmp_path: Path) -> None:
+    if rendering_problem():
+        pytest.skip(rendering_problem())
+    ended = run("fig1_subdivision.py", "--out", "out", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    rows = {cells[0]: cells for cells in table_rows(ended.stdout)}
+    for target in ("near", "far", "farther"):
+        assert rows[f"{target} targets, one shot"][7] == "refuted"
+        assert rows[f"{target} targets, iterative"][1::6] == ["converged", "certified"]
+    assert int(rows["far targets, one shot"][4]) > 0
+    assert int(rows["far targets, iterative"][4]) == 0
+    assert int(rows["farther targets, iterative"][4]) > 0
+    assert int(rows["farther targets, iterative, subdivided"][4]) == 0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["fig1_subdivision.png"]
+
+
+@pytest.mark.slow
+def test_fig4_reaches_its_marks(tmp_path: Path) -> None:
+    if rendering_problem():
+        pytest.skip(rendering_problem())
+    ended = run("fig4_bar.py", "--out", "out", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    best = [cells for cells in table_rows(ended.stdout) if cells[0] == "Cayley steps, isochoric r^5"]
+    assert len(best) == 2
+    for _, ended_as, steps, inverted, ratio, _, volume, error, claim in best:
+        assert (ended_as, inverted, claim) == ("converged", "0", "certified")
+        assert int(steps) <= 6
+        assert float(ratio) >= 0.7
+        assert abs(float(volume)) <= 0.5
+        assert float(error) <= 1e-9
+    assert len(list((tmp_path / "out").iterdir())) == 2
+
+
+def test_fig4_tells_its_options(tmp_path: Path) -> None:
+    ended = run("fig4_bar.py", "--help", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "--out" in ended.stdout
+    assert list(tmp_path.iterdir()) == []

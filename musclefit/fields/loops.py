@@ -1,150 +1,153 @@
 """Fused, threaded sums over all pairs of point and centre, for every kernel.
 
 Points are (N, 3) and centres (3, m); a plane is embedded in space by a zero third coordinate. Sources are sorted into
-cells as wide as the support of a compact kernel, so that a point sees its own 27 only; other kernels have one cell. A
-row of distances is turned into a row of kernel values by ``_scalar_profile`` or ``_isochoric_profile``; everything else
-does not know the kernel. Sums are reassociated for speed; certificates use their own loops, which are not.
+cells as wide as the support of a compact kernel, so that a point sees its own 27 only; other kernels have one cell.
+The kernels are formulas of the squared distance in ``_scalar`` and ``_isochoric``; everything else does not know them.
+Each loop over the centres is compiled once for each kernel, its code constant and its results in registers, so that it
+runs in vector instructions: hence the forced inlining, and no call, branch or division check inside. Sums are
+reassociated for speed; certificates use their own loops, which are not.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from llvmlite import ir
+from numba import njit, prange, types
+from numba.extending import intrinsic
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""
+
+INNER = {"fastmath": FAST, "error_model": "numpy", "forceinline": True}
+OUTER = {"fastmath": FAST, "error_model": "numpy", "parallel": True, "cache": True}
 
 TINY = 1e-180
 """Added to squared distances (mm²) where a profile divides by r, so that a centre itself gives 0, not NaN."""
 
 BLOCK = 64
-ROW = 256
+"""Points of one task."""
 
 
-@njit(fastmath=FAST, cache=True)
-def _scalar_profile(kernel, scale, r2, f, slope):
-    """From squared distances: f = phi(r), slope = phi'(r)/r."""
+@intrinsic
+def _bits(_context, value):
+    """The 64 bits of a number: float64 as int64, int64 as float64."""
+    floats = value == types.float64
+    made, target = (types.int64, ir.IntType(64)) if floats else (types.float64, ir.DoubleType())
+
+    def generate(_context, builder, _signature, arguments):
+        return builder.bitcast(arguments[0], target)
+
+    return made(value), generate
+
+
+@njit(**{**INNER, "fastmath": {"contract"}})  # reassociating the conversion of k would lose all digits
+def _log(x):
+    """Natural logarithm of a positive normal number to 3e-16 of max(1, |log x|), in vector instructions.
+
+    x = 2^k y with y in [sqrt(1/2), sqrt(2)) and log y = 2 artanh(s), s = (y - 1) / (y + 1), by FDLIBM's polynomial.
+    """
+    bits = _bits(x)
+    above = bits - 0x3FE6A09E667F3BCD  # sqrt(1/2)
+    y = _bits(bits - (above & -0x10000000000000))
+    k = _bits((above >> 52) + 0x4338000000000000) - 6755399441055744.0  # 1.5 * 2^52: an integer in the last bits
+    s = (y - 1.0) / (y + 1.0)
+    z = s * s
+    high = 0.2222219843214978396 + z * (0.1818357216161805012 + z * (0.1531383769920937332 + z * 0.1479819860511658591))
+    series = z * (0.6666666666666735130 + z * (0.3999999999940941908 + z * (0.2857142874366239149 + z * high)))
+    return k * 0.6931471805599453094 + (2.0 * s + s * series)
+
+
+@njit(**INNER)
+def _scalar(kernel, scale, r2):
+    """From a squared distance: phi(r) and phi'(r)/r."""
     if kernel == 0:  # -r
-        for j in range(r2.size):
-            r = np.sqrt(r2[j] + TINY)
-            f[j] = -r
-            slope[j] = -1.0 / r
-    elif kernel == 1:  # r² log r
-        for j in range(r2.size):
-            log = np.log(r2[j] + TINY)
-            f[j] = 0.5 * r2[j] * log
-            slope[j] = log + 1.0
-    elif kernel == 2:  # r³
-        for j in range(r2.size):
-            r = np.sqrt(r2[j])
-            f[j] = r2[j] * r
-            slope[j] = 3.0 * r
-    elif kernel == 3:  # Gaussian
-        s2 = 1.0 / (scale * scale)
-        for j in range(r2.size):
-            f[j] = np.exp(-r2[j] * s2)
-            slope[j] = -2.0 * s2 * f[j]
-    elif kernel == 4:  # inverse multiquadric
-        s2 = 1.0 / (scale * scale)
-        for j in range(r2.size):
-            f[j] = 1.0 / np.sqrt(1.0 + r2[j] * s2)
-            slope[j] = -s2 * f[j] * f[j] * f[j]
-    elif kernel == 5:  # Wendland C2
-        s = 1.0 / scale
-        for j in range(r2.size):
-            q = np.sqrt(r2[j]) * s
-            u = max(1.0 - q, 0.0)
-            u3 = u * u * u
-            f[j] = u3 * u * (4.0 * q + 1.0)
-            slope[j] = -20.0 * s * s * u3
-    else:  # Wendland C4
-        s = 1.0 / scale
-        for j in range(r2.size):
-            q = np.sqrt(r2[j]) * s
-            u = max(1.0 - q, 0.0)
-            u5 = u * u * u * u * u
-            f[j] = u5 * u * (35.0 * q * q + 18.0 * q + 3.0) / 3.0
-            slope[j] = -56.0 / 3.0 * s * s * u5 * (5.0 * q + 1.0)
+        r = np.sqrt(r2 + TINY)
+        return -r, -1.0 / r
+    if kernel == 1:  # r² log r
+        log = _log(r2 + TINY)
+        return 0.5 * r2 * log, log + 1.0
+    if kernel == 2:  # r³
+        r = np.sqrt(r2)
+        return r2 * r, 3.0 * r
+    s = 1.0 / scale
+    if kernel == 3:  # Gaussian
+        f = np.exp(-r2 * s * s)
+        return f, -2.0 * s * s * f
+    if kernel == 4:  # inverse multiquadric
+        f = 1.0 / np.sqrt(1.0 + r2 * s * s)
+        return f, -s * s * f * f * f
+    q = np.sqrt(r2) * s
+    u = 0.0 if q > 1.0 else 1.0 - q
+    u3 = u * u * u
+    if kernel == 5:  # Wendland C2
+        return u3 * u * (4.0 * q + 1.0), -20.0 * s * s * u3
+    u5 = u3 * u * u  # Wendland C4
+    return u5 * u * (35.0 * q * q + 18.0 * q + 3.0) / 3.0, -56.0 / 3.0 * s * s * u5 * (5.0 * q + 1.0)
 
 
-@njit(fastmath=FAST, cache=True)
-def _isochoric_profile(kernel, scale, r2, f, slope, g, g_slope):
-    """From squared distances: f = a(r), slope = a'(r)/r, g = b(r), g_slope = b'(r)/r."""
+@njit(**INNER)
+def _isochoric(kernel, scale, r2):
+    """From a squared distance: a(r), a'(r)/r, b(r), b'(r)/r."""
     if kernel == 20:  # psi = r³
-        for j in range(r2.size):
-            r = np.sqrt(r2[j] + TINY)
-            inverse = 1.0 / r
-            f[j] = -9.0 * r
-            slope[j] = -9.0 * inverse
-            g[j] = 3.0 * inverse
-            g_slope[j] = -3.0 * inverse * inverse * inverse
-    elif kernel == 21:  # psi = (r² + scale²)^(3/2)
+        r = np.sqrt(r2 + TINY)
+        inverse = 1.0 / r
+        return -9.0 * r, -9.0 * inverse, 3.0 * inverse, -3.0 * inverse * inverse * inverse
+    if kernel == 21:  # psi = (r² + scale²)^(3/2)
         e2 = scale * scale
-        for j in range(r2.size):
-            r = np.sqrt(r2[j] + e2)
-            inverse = 1.0 / r
-            f[j] = -6.0 * r - 3.0 * r2[j] * inverse
-            slope[j] = -9.0 * inverse - 3.0 * e2 * inverse * inverse * inverse
-            g[j] = 3.0 * inverse
-            g_slope[j] = -3.0 * inverse * inverse * inverse
-    elif kernel == 22:  # psi = -r⁵
-        for j in range(r2.size):
-            r = np.sqrt(r2[j] + TINY)
-            f[j] = 25.0 * r2[j] * r
-            slope[j] = 75.0 * r
-            g[j] = -15.0 * r
-            g_slope[j] = -15.0 / r
-    else:  # Wendland C6: psi = (1-q)^8 (32 q³ + 25 q² + 8 q + 1), q = r / scale, times scale²
-        s = 1.0 / scale
-        s2 = s * s
-        for j in range(r2.size):
-            q = np.sqrt(r2[j]) * s
-            u = max(1.0 - q, 0.0)
-            u2 = u * u
-            u5 = u2 * u2 * u
-            f[j] = 44.0 * u5 * u * (1.0 + q * (6.0 - q * (3.0 + 88.0 * q)))
-            slope[j] = 1056.0 * s2 * u5 * (q * (33.0 * q - 10.0) - 2.0)
-            g[j] = 528.0 * s2 * u5 * u * (6.0 * q + 1.0)
-            g_slope[j] = -22176.0 * s2 * s2 * u5
+        r = np.sqrt(r2 + e2)
+        inverse = 1.0 / r
+        cube = 3.0 * inverse * inverse * inverse
+        return -6.0 * r - 3.0 * r2 * inverse, -9.0 * inverse - e2 * cube, 3.0 * inverse, -cube
+    if kernel == 22:  # psi = -r⁵
+        r = np.sqrt(r2 + TINY)
+        return 25.0 * r2 * r, 75.0 * r, -15.0 * r, -15.0 / r
+    # Wendland C6: psi = (1-q)^8 (32 q³ + 25 q² + 8 q + 1), q = r / scale, times scale²
+    s = 1.0 / scale
+    s2 = s * s
+    q = np.sqrt(r2) * s
+    u = 0.0 if q > 1.0 else 1.0 - q
+    u2 = u * u
+    u5 = u2 * u2 * u
+    return (
+        44.0 * u5 * u * (1.0 + q * (6.0 - q * (3.0 + 88.0 * q))),
+        1056.0 * s2 * u5 * (q * (33.0 * q - 10.0) - 2.0),
+        528.0 * s2 * u5 * u * (6.0 * q + 1.0),
+        -22176.0 * s2 * s2 * u5,
+    )
 
 
-@njit(fastmath=FAST, cache=True)
-def _scalar_row(kernel, scale, where, centres, weights, start, stop, rows, total):
-    """Add the sources start..stop to total = (value 3)."""
+@njit(**INNER)
+def _scalar_row(kernel, scale, where, centres, weights, total):
+    """Add all of the sources to total = (value 3)."""
     x, y, z = where
-    r2, f, slope = rows[0], rows[1], rows[2]
+    cx, cy, cz = centres
+    wa, wb, wc = weights
     u, v, w = 0.0, 0.0, 0.0
-    for j in range(start, stop):
-        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
-        r2[j - start] = dx * dx + dy * dy + dz * dz
-    _scalar_profile(kernel, scale, r2[: stop - start], f, slope)
-    for j in range(start, stop):
-        u += f[j - start] * weights[0, j]
-        v += f[j - start] * weights[1, j]
-        w += f[j - start] * weights[2, j]
-    total[0] += u
-    total[1] += v
-    total[2] += w
+    for j in range(cx.size):
+        dx, dy, dz = x - cx[j], y - cy[j], z - cz[j]
+        f, _ = _scalar(kernel, scale, dx * dx + dy * dy + dz * dz)
+        u += f * wa[j]
+        v += f * wb[j]
+        w += f * wc[j]
+    _add(total, 0, u, v, w)
 
 
-@njit(fastmath=FAST, cache=True)
-def _scalar_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total):
-    """Add the sources start..stop to total = (value 3, gradient 9)."""
+@njit(**INNER)
+def _scalar_gradient_row(kernel, scale, where, centres, weights, total):
+    """Add all of the sources to total = (value 3, gradient 9)."""
     x, y, z = where
-    r2, f, slope = rows[0], rows[1], rows[2]
+    cx, cy, cz = centres
+    wa, wb, wc = weights
     u, v, w = 0.0, 0.0, 0.0
     ux, uy, uz, vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(start, stop):
-        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
-        r2[j - start] = dx * dx + dy * dy + dz * dz
-    _scalar_profile(kernel, scale, r2[: stop - start], f, slope)
-    for j in range(start, stop):
-        value, steep = f[j - start], slope[j - start]
-        a, b, c = weights[0, j], weights[1, j], weights[2, j]
-        u += value * a
-        v += value * b
-        w += value * c
-        dx, dy, dz = steep * (x - centres[0, j]), steep * (y - centres[1, j]), steep * (z - centres[2, j])
+    for j in range(cx.size):
+        dx, dy, dz = x - cx[j], y - cy[j], z - cz[j]
+        f, slope = _scalar(kernel, scale, dx * dx + dy * dy + dz * dz)
+        a, b, c = wa[j], wb[j], wc[j]
+        u += f * a
+        v += f * b
+        w += f * c
+        dx, dy, dz = slope * dx, slope * dy, slope * dz
         ux += a * dx
         uy += a * dy
         uz += a * dz
@@ -154,58 +157,54 @@ def _scalar_gradient_row(kernel, scale, where, centres, weights, start, stop, ro
         wx += c * dx
         wy += c * dy
         wz += c * dz
-    _add_all(total, u, v, w, ux, uy, uz, vx, vy, vz, wx, wy, wz)
+    _add(total, 0, u, v, w)
+    _add(total, 3, ux, uy, uz)
+    _add(total, 6, vx, vy, vz)
+    _add(total, 9, wx, wy, wz)
 
 
-@njit(fastmath=FAST, cache=True)
-def _isochoric_row(kernel, scale, where, centres, weights, start, stop, rows, total):
-    """Add the sources start..stop to total = (value 3)."""
+@njit(**INNER)
+def _isochoric_row(kernel, scale, where, centres, weights, total):
+    """Add all of the sources to total = (value 3)."""
     x, y, z = where
-    r2, f, slope, g, g_slope = rows[0], rows[1], rows[2], rows[3], rows[4]
+    cx, cy, cz = centres
+    wa, wb, wc = weights
     u, v, w = 0.0, 0.0, 0.0
-    for j in range(start, stop):
-        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
-        r2[j - start] = dx * dx + dy * dy + dz * dz
-    _isochoric_profile(kernel, scale, r2[: stop - start], f, slope, g, g_slope)
-    for j in range(start, stop):
-        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
-        a, b, c = weights[0, j], weights[1, j], weights[2, j]
-        along = g[j - start] * (dx * a + dy * b + dz * c)
-        u += f[j - start] * a + along * dx
-        v += f[j - start] * b + along * dy
-        w += f[j - start] * c + along * dz
-    total[0] += u
-    total[1] += v
-    total[2] += w
+    for j in range(cx.size):
+        dx, dy, dz = x - cx[j], y - cy[j], z - cz[j]
+        f, _, g, _ = _isochoric(kernel, scale, dx * dx + dy * dy + dz * dz)
+        a, b, c = wa[j], wb[j], wc[j]
+        along = g * (dx * a + dy * b + dz * c)
+        u += f * a + along * dx
+        v += f * b + along * dy
+        w += f * c + along * dz
+    _add(total, 0, u, v, w)
 
 
-@njit(fastmath=FAST, cache=True)
-def _isochoric_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total):
-    """Add the sources start..stop to total = (value 3, gradient 9).
+@njit(**INNER)
+def _isochoric_gradient_row(kernel, scale, where, centres, weights, total):
+    """Add all of the sources to total = (value 3, gradient 9).
 
     d_k D_i = (a'/r) w_i x_k + (b'/r) (x.w) x_i x_k + b (w_k x_i + (x.w) delta_ik) for each source.
     """
     x, y, z = where
-    r2, f, slope, g, g_slope = rows[0], rows[1], rows[2], rows[3], rows[4]
+    cx, cy, cz = centres
+    wa, wb, wc = weights
     u, v, w, diagonal = 0.0, 0.0, 0.0, 0.0
     ux, uy, uz, vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(start, stop):
-        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
-        r2[j - start] = dx * dx + dy * dy + dz * dz
-    _isochoric_profile(kernel, scale, r2[: stop - start], f, slope, g, g_slope)
-    for j in range(start, stop):
-        k = j - start
-        dx, dy, dz = x - centres[0, j], y - centres[1, j], z - centres[2, j]
-        a, b, c = weights[0, j], weights[1, j], weights[2, j]
+    for j in range(cx.size):
+        dx, dy, dz = x - cx[j], y - cy[j], z - cz[j]
+        f, slope, g, g_slope = _isochoric(kernel, scale, dx * dx + dy * dy + dz * dz)
+        a, b, c = wa[j], wb[j], wc[j]
         dot = dx * a + dy * b + dz * c
-        along = g[k] * dot
-        u += f[k] * a + along * dx
-        v += f[k] * b + along * dy
-        w += f[k] * c + along * dz
+        along = g * dot
+        u += f * a + along * dx
+        v += f * b + along * dy
+        w += f * c + along * dz
         diagonal += along
-        curl = g_slope[k] * dot
-        ax, ay, az = slope[k] * a + curl * dx, slope[k] * b + curl * dy, slope[k] * c + curl * dz
-        gx, gy, gz = g[k] * dx, g[k] * dy, g[k] * dz
+        curl = g_slope * dot
+        ax, ay, az = slope * a + curl * dx, slope * b + curl * dy, slope * c + curl * dz
+        gx, gy, gz = g * dx, g * dy, g * dz
         ux += ax * dx + gx * a
         uy += ax * dy + gx * b
         uz += ax * dz + gx * c
@@ -215,23 +214,71 @@ def _isochoric_gradient_row(kernel, scale, where, centres, weights, start, stop,
         wx += az * dx + gz * a
         wy += az * dy + gz * b
         wz += az * dz + gz * c
-    _add_all(total, u, v, w, ux + diagonal, uy, uz, vx, vy + diagonal, vz, wx, wy, wz + diagonal)
+    _add(total, 0, u, v, w)
+    _add(total, 3, ux + diagonal, uy, uz)
+    _add(total, 6, vx, vy + diagonal, vz)
+    _add(total, 9, wx, wy, wz + diagonal)
 
 
 @njit(inline="always")
-def _add_all(total, u, v, w, ux, uy, uz, vx, vy, vz, wx, wy, wz):
-    total[0] += u
-    total[1] += v
-    total[2] += w
-    total[3] += ux
-    total[4] += uy
-    total[5] += uz
-    total[6] += vx
-    total[7] += vy
-    total[8] += vz
-    total[9] += wx
-    total[10] += wy
-    total[11] += wz
+def _add(total, first, u, v, w):
+    total[first] += u
+    total[first + 1] += v
+    total[first + 2] += w
+
+
+@njit(**INNER)
+def _any_row(kernel, scale, where, centres, weights, total):
+    """Values of any kernel, its code a constant of the machine code but not of the types: those are inferred once."""
+    if kernel == 0:
+        _scalar_row(np.int64(0), scale, where, centres, weights, total)
+    elif kernel == 1:
+        _scalar_row(np.int64(1), scale, where, centres, weights, total)
+    elif kernel == 2:
+        _scalar_row(np.int64(2), scale, where, centres, weights, total)
+    elif kernel == 3:
+        _scalar_row(np.int64(3), scale, where, centres, weights, total)
+    elif kernel == 4:
+        _scalar_row(np.int64(4), scale, where, centres, weights, total)
+    elif kernel == 5:
+        _scalar_row(np.int64(5), scale, where, centres, weights, total)
+    elif kernel == 6:
+        _scalar_row(np.int64(6), scale, where, centres, weights, total)
+    elif kernel == 20:
+        _isochoric_row(np.int64(20), scale, where, centres, weights, total)
+    elif kernel == 21:
+        _isochoric_row(np.int64(21), scale, where, centres, weights, total)
+    elif kernel == 22:
+        _isochoric_row(np.int64(22), scale, where, centres, weights, total)
+    else:
+        _isochoric_row(np.int64(23), scale, where, centres, weights, total)
+
+
+@njit(**INNER)
+def _any_gradient_row(kernel, scale, where, centres, weights, total):
+    """Values and gradients of any kernel, as ``_any_row``."""
+    if kernel == 0:
+        _scalar_gradient_row(np.int64(0), scale, where, centres, weights, total)
+    elif kernel == 1:
+        _scalar_gradient_row(np.int64(1), scale, where, centres, weights, total)
+    elif kernel == 2:
+        _scalar_gradient_row(np.int64(2), scale, where, centres, weights, total)
+    elif kernel == 3:
+        _scalar_gradient_row(np.int64(3), scale, where, centres, weights, total)
+    elif kernel == 4:
+        _scalar_gradient_row(np.int64(4), scale, where, centres, weights, total)
+    elif kernel == 5:
+        _scalar_gradient_row(np.int64(5), scale, where, centres, weights, total)
+    elif kernel == 6:
+        _scalar_gradient_row(np.int64(6), scale, where, centres, weights, total)
+    elif kernel == 20:
+        _isochoric_gradient_row(np.int64(20), scale, where, centres, weights, total)
+    elif kernel == 21:
+        _isochoric_gradient_row(np.int64(21), scale, where, centres, weights, total)
+    elif kernel == 22:
+        _isochoric_gradient_row(np.int64(22), scale, where, centres, weights, total)
+    else:
+        _isochoric_gradient_row(np.int64(23), scale, where, centres, weights, total)
 
 
 @njit(inline="always")
@@ -252,74 +299,58 @@ def _runs(x, y, z, low, width, counts, starts, runs):
     return found
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def radial_sum(kernel, isochoric, scale, points, centres, weights, low, width, counts, starts, out):
+@njit(inline="always")
+def _part(of, start, stop):
+    """Three rows, from start to stop."""
+    return of[0, start:stop], of[1, start:stop], of[2, start:stop]
+
+
+@njit(**OUTER)
+def radial_sum(kernel, scale, points, centres, weights, low, width, counts, starts, out):
     """Add sum_j K(x_i - c_j) w_j to ``out`` (N, 3); centres and weights are (3, m), in the order of their cells."""
     n = points.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
-        rows, runs, total = np.empty((5, ROW)), np.empty((9, 2), np.int64), np.empty(3)
+        runs = np.empty((9, 2), np.int64)
         for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             where = (points[i, 0], points[i, 1], points[i, 2])
-            total[:] = 0.0
             for run in range(_runs(where[0], where[1], where[2], low, width, counts, starts, runs)):
-                for start in range(runs[run, 0], runs[run, 1], ROW):
-                    stop = min(start + ROW, runs[run, 1])
-                    if isochoric:
-                        _isochoric_row(kernel, scale, where, centres, weights, start, stop, rows, total)
-                    else:
-                        _scalar_row(kernel, scale, where, centres, weights, start, stop, rows, total)
-            for k in range(3):
-                out[i, k] += total[k]
+                start, stop = runs[run, 0], runs[run, 1]
+                _any_row(kernel, scale, where, _part(centres, start, stop), _part(weights, start, stop), out[i])
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def radial_sum_with_gradient(
-    kernel, isochoric, scale, points, centres, weights, low, width, counts, starts, out, gradients
-):
-    """Add the sum and its gradient to ``out`` (N, 3) and ``gradients`` (N, 3, 3)."""
+@njit(**OUTER)
+def radial_sum_with_gradient(kernel, scale, points, centres, weights, low, width, counts, starts, out):
+    """Add the sum and its gradient to ``out`` (N, 12): 3 values, then 9 derivatives row by row."""
     n = points.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
-        rows, runs, total = np.empty((5, ROW)), np.empty((9, 2), np.int64), np.empty(12)
+        runs = np.empty((9, 2), np.int64)
         for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             where = (points[i, 0], points[i, 1], points[i, 2])
-            total[:] = 0.0
             for run in range(_runs(where[0], where[1], where[2], low, width, counts, starts, runs)):
-                for start in range(runs[run, 0], runs[run, 1], ROW):
-                    stop = min(start + ROW, runs[run, 1])
-                    if isochoric:
-                        _isochoric_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total)
-                    else:
-                        _scalar_gradient_row(kernel, scale, where, centres, weights, start, stop, rows, total)
-            for k in range(3):
-                out[i, k] += total[k]
-                for q in range(3):
-                    gradients[i, k, q] += total[3 + 3 * k + q]
+                start, stop = runs[run, 0], runs[run, 1]
+                _any_gradient_row(
+                    kernel, scale, where, _part(centres, start, stop), _part(weights, start, stop), out[i]
+                )
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
+@njit(**OUTER)
 def scalar_matrix(kernel, scale, points, centres, out):
     """Kernel matrix (N, m) between points (N, 3) and centres (3, m)."""
-    m = centres.shape[1]
     for i in prange(points.shape[0]):
-        r2, slope = np.empty(m), np.empty(m)
-        for j in range(m):
+        for j in range(centres.shape[1]):
             dx, dy, dz = points[i, 0] - centres[0, j], points[i, 1] - centres[1, j], points[i, 2] - centres[2, j]
-            r2[j] = dx * dx + dy * dy + dz * dz
-        _scalar_profile(kernel, scale, r2, out[i], slope)
+            out[i, j], _ = _scalar(kernel, scale, dx * dx + dy * dy + dz * dz)
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
+@njit(**OUTER)
 def isochoric_matrix(kernel, scale, points, centres, out):
     """Kernel matrix (3 N, 3 m): the block of point i and centre j stands at [3i:3i+3, 3j:3j+3]."""
-    m = centres.shape[1]
     for i in prange(points.shape[0]):
-        r2, f, slope, g, g_slope = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m)
-        for j in range(m):
+        for j in range(centres.shape[1]):
             dx, dy, dz = points[i, 0] - centres[0, j], points[i, 1] - centres[1, j], points[i, 2] - centres[2, j]
-            r2[j] = dx * dx + dy * dy + dz * dz
-        _isochoric_profile(kernel, scale, r2, f, slope, g, g_slope)
-        for j in range(m):
+            f, _, g, _ = _isochoric(kernel, scale, dx * dx + dy * dy + dz * dz)
+            apart = (dx, dy, dz)
             for k in range(3):
                 for n in range(3):
-                    outer = g[j] * (points[i, k] - centres[k, j]) * (points[i, n] - centres[n, j])
-                    out[3 * i + k, 3 * j + n] = outer + f[j] if k == n else outer
+                    outer = g * apart[k] * apart[n]
+                    out[3 * i + k, 3 * j + n] = outer + f if k == n else outer

@@ -67,9 +67,10 @@ class RadialField:
         """Both in one pass."""
         n = points.shape[1]
         where = self._padded(points)
-        values, gradients = np.zeros_like(where), np.zeros((len(where), 3, 3))
-        loops.radial_sum_with_gradient(*self._sum_of(where), values, gradients)
-        return self._polynomial(points) + values[:, :n], self.linear + gradients[:, :n, :n]
+        sums = np.zeros((len(where), 12))
+        loops.radial_sum_with_gradient(*self._sum_of(where), sums)
+        gradients = sums[:, 3:].reshape(-1, 3, 3)
+        return self._polynomial(points) + sums[:, :n], self.linear + gradients[:, :n, :n]
 
     def scaled(self, factor: float) -> Self:
         """The field ``factor`` times as strong."""
@@ -131,7 +132,6 @@ class RadialField:
         cells = Cells.of(local, width=self.scale) if kernel.compact else Cells.single(len(local))
         return (
             kernel.code,
-            kernel.isochoric,
             self.scale,
             where,
             np.ascontiguousarray(local[cells.order].T),

@@ -27,6 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from musclefit.fields.bernstein import contract, slope_matrix, value_matrix
 from musclefit.fields.eigenvalues import eigenvalue_floor
 
 MAX_PARTS = 125
@@ -42,59 +43,6 @@ which moves a second derivative of at most 4 such units per spacing), with a wid
 
 NORM_ROUNDING = 1.0 + 1e-13
 """The norm's own rounding: powers and roots of sums of at most 9 positive terms."""
-
-
-@njit(cache=True)
-def _bernstein(t0, t1, degree, matrix):
-    """Rows: Bernstein coefficients over [t0, t1] of a cell, from those over the whole cell; by blossoming."""
-    work = np.empty(degree + 1)
-    for column in range(degree + 1):
-        for row in range(degree + 1):
-            work[:] = 0.0
-            work[column] = 1.0
-            for r in range(degree):
-                t = t1 if r < row else t0
-                for s in range(degree - r):
-                    work[s] = (1.0 - t) * work[s] + t * work[s + 1]
-            matrix[row, column] = work[0]
-
-
-@njit(cache=True)
-def _value_matrix(t0, t1, out):
-    """(4, 4): Bernstein coefficients over [t0, t1] from cubic B-spline coefficients."""
-    whole, part = np.zeros((4, 4)), np.empty((4, 4))
-    whole[0, 0], whole[0, 1], whole[0, 2] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0
-    whole[1, 1], whole[1, 2] = 2.0 / 3.0, 1.0 / 3.0
-    whole[2, 1], whole[2, 2] = 1.0 / 3.0, 2.0 / 3.0
-    whole[3, 1], whole[3, 2], whole[3, 3] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0
-    _bernstein(t0, t1, 3, part)
-    _product(part, whole, out)
-
-
-@njit(cache=True)
-def _slope_matrix(t0, t1, out):
-    """(4, 4): cubic Bernstein coefficients over [t0, t1] from a derivative's three quadratic B-spline coefficients.
-
-    The last column is zero.
-    """
-    whole, part, raised, middle = np.zeros((3, 3)), np.empty((3, 3)), np.zeros((4, 3)), np.empty((3, 3))
-    out[:, 3] = 0.0
-    whole[0, 0], whole[0, 1], whole[1, 1], whole[2, 1], whole[2, 2] = 0.5, 0.5, 1.0, 0.5, 0.5
-    raised[0, 0], raised[3, 2] = 1.0, 1.0
-    raised[1, 0], raised[1, 1], raised[2, 1], raised[2, 2] = 1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 1.0 / 3.0
-    _bernstein(t0, t1, 2, part)
-    _product(part, whole, middle)
-    _product(raised, middle, out[:, :3])
-
-
-@njit(cache=True)
-def _product(a, b, out):
-    for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            total = 0.0
-            for k in range(a.shape[1]):
-                total += a[i, k] * b[k, j]
-            out[i, j] = total
 
 
 @njit(cache=True)
@@ -123,33 +71,93 @@ def _norm(m, n):
 
 
 @njit(cache=True)
-def _contract(values, first, second, third, flat, spare, out):
-    """Apply one (4, 4) matrix along each of three axes of a (4, 4, 4) array (two in the plane); overwrites both."""
+def _block(lattices, level, n, cell, block):
+    """Copy the coefficients that a cell sees to ``block``, 0 outside the lattice; gives the largest."""
+    shape, start, coefficients = lattices[2][level], lattices[3][level], lattices[4]
+    n0, n1, n2, depth = shape[0], shape[1], shape[2], 1 if n == 2 else 4
+    largest = 0.0
     for i in range(4):
         for j in range(4):
-            for k in range(4):
-                spare[i, j, k] = (
-                    first[i, 0] * values[0, j, k]
-                    + first[i, 1] * values[1, j, k]
-                    + first[i, 2] * values[2, j, k]
-                    + first[i, 3] * values[3, j, k]
-                )
-    for i in range(4):
-        for j in range(4):
-            for k in range(4):
-                out[i, j, k] = (
-                    second[j, 0] * spare[i, 0, k]
-                    + second[j, 1] * spare[i, 1, k]
-                    + second[j, 2] * spare[i, 2, k]
-                    + second[j, 3] * spare[i, 3, k]
-                )
-    if flat:
-        return
-    for i in range(4):
-        for j in range(4):
-            a, b, c, d = out[i, j, 0], out[i, j, 1], out[i, j, 2], out[i, j, 3]
-            for k in range(4):
-                out[i, j, k] = third[k, 0] * a + third[k, 1] * b + third[k, 2] * c + third[k, 3] * d
+            for k in range(depth):
+                p, q, r = cell[0] - 1 + i, cell[1] - 1 + j, cell[2] - 1 + k
+                if 0 <= p < n0 and 0 <= q < n1 and 0 <= r < n2:
+                    place = start + ((p * n1 + q) * n2 + r) * n
+                    for c in range(n):
+                        value = coefficients[place + c]
+                        block[c, i, j, k] = value
+                        largest = max(largest, abs(value))
+                else:
+                    for c in range(n):
+                        block[c, i, j, k] = 0.0
+    return largest
+
+
+@njit(cache=True)
+def _cell_at(lattices, level, n, middle, cell):
+    """Write the cell that holds a place to ``cell``; False beyond the lattice's reach."""
+    cell[2] = 1
+    for axis in range(n):
+        u = (middle[axis] - lattices[0][level, axis]) / lattices[1][level, axis]
+        if not -2.5 < u < lattices[2][level, axis] + 1.5:
+            return False
+        cell[axis] = int(np.floor(u))
+    return True
+
+
+@njit(cache=True)
+def _gradient_at(lattices, linear, n, place, work, gradient):
+    """Write the gradient at a place; gives its rounding."""
+    block, weights, slopes, cell = work[0], work[4], work[5], work[6]
+    depth, rounding, reach = 1 if n == 2 else 4, 0.0, 0.0
+    for axis in range(n):
+        reach = max(reach, abs(place[axis]))
+    for c in range(n):
+        for axis in range(n):
+            gradient[c, axis] = linear[c, axis]
+            rounding = max(rounding, 1e-15 * abs(linear[c, axis]))
+    for level in range(len(lattices[3])):
+        if not _cell_at(lattices, level, n, place, cell):
+            continue
+        largest = _block(lattices, level, n, cell, block)
+        if largest == 0.0:
+            continue
+        weights[2, 0, 0], slopes[2, 0, 0] = 1.0, 0.0
+        for axis in range(n):
+            h = lattices[1][level, axis]
+            t = min(max((place[axis] - lattices[0][level, axis]) / h - cell[axis], 0.0), 1.0)
+            s = 1.0 - t
+            w, d = weights[axis, 0], slopes[axis, 0]
+            w[0], w[1] = s * s * s / 6.0, (4.0 + t * t * (3.0 * t - 6.0)) / 6.0
+            w[2], w[3] = (4.0 + s * s * (3.0 * s - 6.0)) / 6.0, t * t * t / 6.0
+            d[0], d[1], d[2], d[3] = -0.5 * s * s / h, t * (1.5 * t - 2.0) / h, s * (2.0 - 1.5 * s) / h, 0.5 * t * t / h
+        for c in range(n):
+            x, y, z = 0.0, 0.0, 0.0
+            for i in range(4):
+                for j in range(4):
+                    row, slope = 0.0, 0.0
+                    for k in range(depth):
+                        row += weights[2, 0, k] * block[c, i, j, k]
+                        slope += slopes[2, 0, k] * block[c, i, j, k]
+                    x += slopes[0, 0, i] * weights[1, 0, j] * row
+                    y += weights[0, 0, i] * slopes[1, 0, j] * row
+                    z += weights[0, 0, i] * weights[1, 0, j] * slope
+            gradient[c, 0] += x
+            gradient[c, 1] += y
+            if n == 3:
+                gradient[c, 2] += z
+        finest, corner = _scale(lattices, level, n)
+        rounding += ROUNDING * largest / finest * (1.0 + (reach + corner) / finest)
+    return n * rounding
+
+
+@njit(cache=True)
+def _scale(lattices, level, n):
+    """Smallest spacing of a level, and the largest coordinate of its corner."""
+    finest, corner = np.inf, 0.0
+    for axis in range(n):
+        finest = min(finest, lattices[1][level, axis])
+        corner = max(corner, abs(lattices[0][level, axis]))
+    return finest, corner
 
 
 @njit(cache=True)
@@ -165,29 +173,18 @@ def _coefficient(lattices, level, i, j, k, c, n):
 def _add_level(lattices, level, n, low, high, hull, work):
     """Add one level over low..high, mm, within one of its cells; gives the largest coefficient."""
     block, differences, column, spare, slopes, values, cell = work
-    corner, spacing, shape = lattices[0][level], lattices[1][level], lattices[2][level]
+    corner, spacing = lattices[0][level], lattices[1][level]
     depth = 1 if n == 2 else 4
-    cell[2] = 1
-    for axis in range(n):
-        middle = (0.5 * (low[axis] + high[axis]) - corner[axis]) / spacing[axis]
-        if not -2.5 < middle < shape[axis] + 1.5:
-            return 0.0
-        cell[axis] = int(np.floor(middle))
-    largest = 0.0
-    for i in range(4):
-        for j in range(4):
-            for k in range(depth):
-                for c in range(n):
-                    value = _coefficient(lattices, level, cell[0] - 1 + i, cell[1] - 1 + j, cell[2] - 1 + k, c, n)
-                    block[c, i, j, k] = value
-                    largest = max(largest, abs(value))
+    if not _cell_at(lattices, level, n, 0.5 * (low + high), cell):
+        return 0.0
+    largest = _block(lattices, level, n, cell, block)
     if largest == 0.0:
         return 0.0
     for axis in range(n):
         t0 = min(max((low[axis] - corner[axis]) / spacing[axis] - cell[axis], 0.0), 1.0)
         t1 = min(max((high[axis] - corner[axis]) / spacing[axis] - cell[axis], t0), 1.0)
-        _value_matrix(t0, t1, values[axis])
-        _slope_matrix(t0, t1, slopes[axis])
+        value_matrix(t0, t1, values[axis])
+        slope_matrix(t0, t1, slopes[axis])
     for axis in range(n):
         first = slopes[0] if axis == 0 else values[0]
         second = slopes[1] if axis == 1 else values[1]
@@ -198,7 +195,7 @@ def _add_level(lattices, level, n, low, high, hull, work):
                 for j in range(4 - dj):
                     for k in range(depth - dk):
                         differences[i, j, k] = (block[c, i + di, j + dj, k + dk] - block[c, i, j, k]) / spacing[axis]
-            _contract(differences, first, second, third, n == 2, spare, column)
+            contract(differences, first, second, third, n == 2, spare, column)
             for i in range(4):
                 for j in range(4):
                     for k in range(depth):
@@ -225,10 +222,7 @@ def _hull(lattices, linear, n, low, high, hull, work):
     for level in range(len(lattices[3])):
         largest = _add_level(lattices, level, n, low, high, hull, work)
         if largest > 0.0:
-            finest, corner = np.inf, 0.0
-            for axis in range(n):
-                finest = min(finest, lattices[1][level, axis])
-                corner = max(corner, abs(lattices[0][level, axis]))
+            finest, corner = _scale(lattices, level, n)
             rounding += ROUNDING * largest / finest * (1.0 + (reach + corner) / finest)
     return n * rounding
 
@@ -360,8 +354,8 @@ def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found)
     for box in prange(count):
         work, hull = _work(), np.zeros((4, 4, 4, 3, 3))
         low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
-        own = _hull(lattices, linear, n, centres[box], centres[box], hull, work)
-        centre = hull[0, 0, 0].copy()
+        centre = np.zeros((3, 3))
+        own = _gradient_at(lattices, linear, n, centres[box], work, centre)
         gradients[box] = centre[:n, :n]
         parts = 1
         for axis in range(n):

@@ -8,7 +8,8 @@ where E is the bending energy and M the mean square of the splines, exactly inte
 the handles' extent, and a window over the margin takes the coefficients to zero at the lattice's edge. It is solved for
 m multipliers rather than the coefficients: c = W C W A^T w with (A W C W A^T + mu I) w + P a = d, P^T w = 0. Affine
 motions are reproduced exactly. What handles closer than the spacing leave over goes to a lattice of half the spacing,
-with coefficients of least (smoothed) norm, and so on until the handles are resolved; there mu = 0 and every handle is met.
+with coefficients of least (smoothed) norm, and so on until the handles are resolved; there mu = 0 and every handle is
+met.
 """
 
 from __future__ import annotations

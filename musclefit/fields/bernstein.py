@@ -1,0 +1,92 @@
+"""Bernstein coefficients of uniform B-splines over parts of a cell: knot insertion at a part's ends, axis by axis.
+
+Every row of weights is not negative and sums to 1, so that nothing cancels (L. Ramshaw, Blossoming, 1987).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def _bernstein(t0, t1, degree, matrix):
+    """Rows: Bernstein coefficients over [t0, t1] of a cell, from those over the whole cell; by blossoming."""
+    work = np.empty(degree + 1)
+    for column in range(degree + 1):
+        for row in range(degree + 1):
+            work[:] = 0.0
+            work[column] = 1.0
+            for r in range(degree):
+                t = t1 if r < row else t0
+                for s in range(degree - r):
+                    work[s] = (1.0 - t) * work[s] + t * work[s + 1]
+            matrix[row, column] = work[0]
+
+
+@njit(cache=True)
+def value_matrix(t0, t1, out):
+    """(4, 4): Bernstein coefficients over [t0, t1] from cubic B-spline coefficients."""
+    whole, part = np.zeros((4, 4)), np.empty((4, 4))
+    whole[0, 0], whole[0, 1], whole[0, 2] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0
+    whole[1, 1], whole[1, 2] = 2.0 / 3.0, 1.0 / 3.0
+    whole[2, 1], whole[2, 2] = 1.0 / 3.0, 2.0 / 3.0
+    whole[3, 1], whole[3, 2], whole[3, 3] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0
+    _bernstein(t0, t1, 3, part)
+    _product(part, whole, out)
+
+
+@njit(cache=True)
+def slope_matrix(t0, t1, out):
+    """(4, 4): cubic Bernstein coefficients over [t0, t1] from a derivative's three quadratic B-spline coefficients.
+
+    The last column is zero.
+    """
+    whole, part, raised, middle = np.zeros((3, 3)), np.empty((3, 3)), np.zeros((4, 3)), np.empty((3, 3))
+    out[:, 3] = 0.0
+    whole[0, 0], whole[0, 1], whole[1, 1], whole[2, 1], whole[2, 2] = 0.5, 0.5, 1.0, 0.5, 0.5
+    raised[0, 0], raised[3, 2] = 1.0, 1.0
+    raised[1, 0], raised[1, 1], raised[2, 1], raised[2, 2] = 1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 1.0 / 3.0
+    _bernstein(t0, t1, 2, part)
+    _product(part, whole, middle)
+    _product(raised, middle, out[:, :3])
+
+
+@njit(cache=True)
+def _product(a, b, out):
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            total = 0.0
+            for k in range(a.shape[1]):
+                total += a[i, k] * b[k, j]
+            out[i, j] = total
+
+
+@njit(cache=True)
+def contract(values, first, second, third, flat, spare, out):
+    """Apply one (4, 4) matrix along each of three axes of a (4, 4, 4) array (two in the plane); overwrites both."""
+    for i in range(4):
+        for j in range(4):
+            for k in range(4):
+                spare[i, j, k] = (
+                    first[i, 0] * values[0, j, k]
+                    + first[i, 1] * values[1, j, k]
+                    + first[i, 2] * values[2, j, k]
+                    + first[i, 3] * values[3, j, k]
+                )
+    for i in range(4):
+        for j in range(4):
+            for k in range(4):
+                out[i, j, k] = (
+                    second[j, 0] * spare[i, 0, k]
+                    + second[j, 1] * spare[i, 1, k]
+                    + second[j, 2] * spare[i, 2, k]
+                    + second[j, 3] * spare[i, 3, k]
+                )
+    if flat:
+        return
+    for i in range(4):
+        for j in range(4):
+            a, b, c, d = out[i, j, 0], out[i, j, 1], out[i, j, 2], out[i, j, 3]
+            for k in range(4):
+                out[i, j, k] = third[k, 0] * a + third[k, 1] * b + third[k, 2] * c + third[k, 3] * d

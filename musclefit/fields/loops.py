@@ -333,13 +333,27 @@ def radial_sum_with_gradient(kernel, scale, points, centres, weights, low, width
                 )
 
 
+@njit(**INNER)
+def _fill_row(kernel, scale, where, centres, row):
+    x, y, z = where
+    cx, cy, cz = centres
+    for j in range(cx.size):
+        dx, dy, dz = x - cx[j], y - cy[j], z - cz[j]
+        row[j], _ = _scalar(kernel, scale, dx * dx + dy * dy + dz * dz)
+
+
 @njit(**OUTER)
 def scalar_matrix(kernel, scale, points, centres, out):
     """Kernel matrix (N, m) between points (N, 3) and centres (3, m)."""
     for i in prange(points.shape[0]):
-        for j in range(centres.shape[1]):
-            dx, dy, dz = points[i, 0] - centres[0, j], points[i, 1] - centres[1, j], points[i, 2] - centres[2, j]
-            out[i, j], _ = _scalar(kernel, scale, dx * dx + dy * dy + dz * dz)
+        where, row = (points[i, 0], points[i, 1], points[i, 2]), out[i]
+        sources = _part(centres, 0, centres.shape[1])
+        if kernel == 0:
+            _fill_row(np.int64(0), scale, where, sources, row)
+        elif kernel == 1:
+            _fill_row(np.int64(1), scale, where, sources, row)
+        else:
+            _fill_row(kernel, scale, where, sources, row)
 
 
 @njit(**OUTER)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, lapack
+from scipy.linalg import blas, cho_factor, cho_solve, lapack
 
 from musclefit.errors import FieldError
 from musclefit.geometry.arrays import Float
@@ -60,10 +60,9 @@ class SaddleFactor:
             range_inverse = np.linalg.inv(np.triu(reflectors[:rank]))
         else:
             reflectors, tau, range_inverse = spanned, np.zeros(0), np.zeros((0, 0))
-        projected = _reflect(reflectors, tau, _reflect(reflectors, tau, matrix).T) if rank else matrix
-        block = projected[rank:, rank:]
         try:
-            cholesky = cho_factor(block, lower=True, check_finite=False)
+            block = _projected(matrix, reflectors, tau)
+            cholesky = cho_factor(block, lower=True, overwrite_a=True, check_finite=False)
         except np.linalg.LinAlgError as error:
             raise FieldError(
                 f"the system of {len(matrix)} handle equations is not positive definite: handles (nearly) coincide, or "
@@ -89,6 +88,28 @@ class SaddleFactor:
         weights = _unreflect(reflectors, tau, inner)
         rest = _reflect(reflectors, tau, data - self.matrix @ weights)[:rank]
         return weights, self._basis @ (self._range_inverse @ rest)
+
+
+def _projected(matrix: Float, reflectors: Float, tau: Float) -> Float:
+    """Lower triangle of Q^T A Q without its first rows and columns, as many as reflectors, in one new array.
+
+    With Q = I - V T V^T, X = A V T and W = X - V (T^T V^T X) / 2 it is A - V W^T - W V^T, for q reflectors an update of
+    rank 2 q. What is above the diagonal is A's own, and Cholesky never looks at it.
+    """
+    rank = len(tau)
+    block = matrix[rank:, rank:].copy().T  # symmetric, so this is A by columns, as LAPACK wants it
+    if not rank:
+        return block
+    v = np.tril(reflectors, -1)
+    v[np.diag_indices(rank)] = 1.0
+    t = np.zeros((rank, rank))
+    for i in range(rank):
+        t[:i, i] = -tau[i] * (t[:i, :i] @ (v[:, :i].T @ v[:, i]))
+        t[i, i] = tau[i]
+    x = matrix @ (v @ t)
+    w = x - 0.5 * (v @ (t.T @ (v.T @ x)))
+    updated: Float = blas.dsyr2k(-1.0, v[rank:], w[rank:], beta=1.0, c=block, lower=1, overwrite_c=1)
+    return updated
 
 
 def _reflect(reflectors: Float, tau: Float, values: Float) -> Float:

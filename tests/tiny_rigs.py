@@ -28,6 +28,9 @@ source = "landmarks.csv"
 [deformer]
 kernel = "r3"
 
+[certificate]
+max_boxes = 20000
+
 [tets]
 enabled = false
 edge_length_fraction = 0.2

@@ -259,7 +259,7 @@ class CertificateSettings:
     """
 
     enabled: bool = True
-    max_boxes: int = 2_000_000
+    max_boxes: int = 400_000
 
     def __post_init__(self) -> None:
         _at_least_one("certificate.max_boxes", self.max_boxes)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, TypeVar
@@ -123,20 +123,26 @@ class Section:
         values = self.table[key]
         if not isinstance(values, list | tuple):
             raise self._wrong(key, "a list of numbers, such as [50, 20, 10]")
-        for value in values:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise self.error(key, f"holds {_described(value)}; expected a list of numbers")
-            if not math.isfinite(_as_float(value)):
-                raise self.error(key, f"holds {_shown(value)}; expected finite numbers")
-        return tuple(float(value) for value in values)
+        return self._finite(key, values, expected="numbers")
 
     def vector(self, key: str, *, length: int) -> Float:
         """``length`` finite numbers as a read-only array."""
-        values = self.numbers(key)
+        values = self.table[key]
+        if not isinstance(values, list | tuple):
+            raise self._wrong(key, f"a list of {length} numbers")
         if len(values) != length:
             raise self.error(key, f"has {len(values)} entries; expected a list of {length} numbers")
-        array: Float = frozen(np.array(values, dtype=np.float64))
+        array: Float = frozen(np.array(self._finite(key, values, expected=f"{length} numbers")))
         return array
+
+    def _finite(self, key: str, values: Sequence[Any], *, expected: str) -> tuple[float, ...]:
+        for value in values:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise self.error(key, f"holds {_described(value)}; expected a list of {expected}")
+            if not math.isfinite(_as_float(value)):
+                finite = expected.replace("numbers", "finite numbers")
+                raise self.error(key, f"holds {_shown(value)}; expected {finite}")
+        return tuple(float(value) for value in values)
 
     def _wrong(self, key: str, expected: str) -> RigError:
         return self.error(key, f"found {_described(self.table[key])}; expected {expected}")

@@ -558,7 +558,7 @@ def test_rigs_are_found_by_name_and_by_path(folder: Path, monkeypatch: pytest.Mo
     assert find_rig("joint.toml") == Path("joint.toml")
     with pytest.raises(RigError, match=r"^no rig is named 'forarm'; did you mean 'forearm'\? known: .*upper_limb"):
         find_rig("forarm")
-    with pytest.raises(RigError, match=r"^here/rig.toml: no such rig file; .*built-in rig: forearm, upper_limb"):
+    with pytest.raises(RigError, match=r"^here/rig.toml: no such rig file; .*built-in rig: forearm, forearm_rigid, upper_limb"):
         find_rig("here/rig.toml")
 
 
@@ -575,6 +575,9 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
         "anatomy": [model.AnatomySource],
         "drive": [model.LandmarkDrive, model.JointDrive, model.CageDrive],
         "deformer": [model.DeformerSettings],
+        "bones": [model.BoneSettings],
+        "surfaces": [model.SurfaceSettings],
+        "certificate": [model.CertificateSettings],
         "tets": [model.TetSettings],
         "limits": [model.Limits],
     }
@@ -593,6 +596,8 @@ def _as_toml(name: str, value: Any) -> str:
         return "{}" if name == "kinds" else "[]"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, tuple):
+        return repr(list(value))
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 

@@ -98,7 +98,7 @@ def _projected(matrix: Float, reflectors: Float, tau: Float) -> Float:
     """
     rank = len(tau)
     block = matrix[rank:, rank:].copy().T  # symmetric, so this is A by columns, as LAPACK wants it
-    if not rank:
+    if not rank or not block.size:
         return block
     v = np.tril(reflectors, -1)
     v[np.diag_indices(rank)] = 1.0

@@ -114,7 +114,7 @@ def attack(steps, certificate, points: np.ndarray) -> None:
         assert found.min() >= step.margin - 1e-9
         for place in inside[np.argsort(found)[:2]]:
             better = minimize(
-                lambda x, kind=kind, field=field: (
+                lambda x, kind=kind, field=field, inside=inside: (
                     margins(kind, field.gradient(np.atleast_2d(x)))[0]
                     if ((x >= inside.min(axis=0)) & (x <= inside.max(axis=0))).all()
                     else 10.0

@@ -84,6 +84,8 @@ class Midpoints:
         sigma above.
     found : (N,) bool
         Where a ball was found; the others prove nothing.
+    hopeless : (N,) bool
+        Where smaller balls would not help either: no midpoint is found, or the field is too steep at it.
     """
 
     points: Points
@@ -91,11 +93,19 @@ class Midpoints:
     reach: Float
     strain: Float
     found: Bool
+    hopeless: Bool
 
     def without(self, dropped: Bool) -> Midpoints:
         """Those that are not dropped."""
         kept = ~dropped
-        return Midpoints(self.points[kept], self.radii[kept], self.reach[kept], self.strain[kept], self.found[kept])
+        return Midpoints(
+            self.points[kept],
+            self.radii[kept],
+            self.reach[kept],
+            self.strain[kept],
+            self.found[kept],
+            self.hopeless[kept],
+        )
 
     def joined(self, other: Midpoints) -> Midpoints:
         """These and then the others."""
@@ -105,6 +115,7 @@ class Midpoints:
             np.concatenate([self.reach, other.reach]),
             np.concatenate([self.strain, other.strain]),
             np.concatenate([self.found, other.found]),
+            np.concatenate([self.hopeless, other.hopeless]),
         )
 
 
@@ -142,9 +153,11 @@ def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:
     reach = (cover.radii + residual + _coordinate_rounding(cover.points, values)) * UP
     n_points = len(middle)
     radii, strain, found = reach.copy(), np.zeros(n_points), np.zeros(n_points, dtype=bool)
-    left = np.flatnonzero(np.isfinite(reach))
+    hopeless = residual > np.maximum(cover.radii, 1e-6)
+    left = np.flatnonzero(np.isfinite(reach) & ~hopeless)
     sampled = 0.5 * symmetric_eigenvalues(field.gradient(middle[left]))[:, -1]
-    left, sampled = left[sampled < STEEPEST], sampled[sampled < STEEPEST]
+    hopeless[left] = ~(sampled < STEEPEST)
+    left, sampled = left[~hopeless[left]], sampled[sampled < STEEPEST]
     for widening in MIDPOINT_REACH:
         if not left.size:
             break
@@ -156,7 +169,7 @@ def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:
         radii[done] = np.minimum(factor[passes], (1.0 + 1e-9) / (1.0 - own)) * reach[done] * UP
         strain[done], found[done] = own, True
         left, sampled = left[~passes], sampled[~passes]
-    return Midpoints(middle, radii, reach, strain, found)
+    return Midpoints(middle, radii, reach, strain, found, hopeless)
 
 
 def cayley_image(field: Field, midpoints: Midpoints) -> Cover:

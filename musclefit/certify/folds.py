@@ -29,35 +29,52 @@ Inside = Callable[[Points], Bool]
 ROUNDS = 18
 """Of the pattern search; its stride halves in each round without progress."""
 
-CANDIDATES = 24
-"""Folded places that are followed back to rest, most reversed first."""
+FOLLOWED = 512
+"""Folded places that are followed back to rest."""
+
+CANDIDATES = 16
+"""Of those that come from inside the body: how many a proof is tried for."""
+
+BRANCH_STEPS, BRANCH_NEWTON = 16, 8
+"""Strengths that the branch of a midpoint is followed through, and Newton steps at each."""
+
+STARTS = 48
+"""Points of the body with the smallest determinants, from which the search descends, too."""
 
 
 def find_fold(
-    steps: Sequence[StepOf], number: int, starts: Points, *, stride: float, inside: Inside
+    steps: Sequence[StepOf], number: int, starts: Points, *, stride: float, samples: Points, inside: Inside
 ) -> tuple[Fold, ...]:
     """A proved fold of step ``number`` (counted from 0), or nothing.
 
-    Descends from ``starts`` (K, n), mm, to places with a negative determinant; these are followed back through the
-    steps before to points at rest, which count only when ``inside`` the body. Each is then carried forward in proved
-    balls, and the fold is claimed when the determinant is negative on the whole last ball.
+    Descends to places with a negative determinant from ``starts`` (K, n), mm, where the step meets them, and from the
+    worst of ``samples`` (N, n), mm, points of the body at rest. The places found are followed back through the steps
+    before to points at rest, which count only when ``inside`` the body. Each is then carried forward in proved balls,
+    and the fold is claimed when the determinant is negative on the whole last ball.
     """
     kind, field = steps[number]
+    carried = _carried(steps[:number], kind, field, samples)
+    carried = carried[np.isfinite(carried).all(axis=1)]
+    worst = np.argsort(_deciding(kind, field.gradient(carried)))[:STARTS]
+    starts = np.concatenate([starts, carried[worst]])
     if not len(starts):
         return ()
-    places = _descend(kind, field, starts, stride)
-    for place in places[:CANDIDATES]:
-        rest = _back_to_rest(steps[:number], kind, field, place[None])
-        if not np.isfinite(rest).all() or not inside(rest)[0]:
-            continue
-        fold = prove_fold(steps, number, rest, near=place[None])
+    places = _descend(kind, field, starts, stride)[:FOLLOWED]
+    rest = _back_to_rest(steps[:number], kind, field, places)
+    finite = np.flatnonzero(np.isfinite(rest).all(axis=1))
+    for k in finite[inside(rest[finite])][:CANDIDATES]:
+        fold = prove_fold(steps, number, rest[k : k + 1])
         if fold:
             return fold
     return ()
 
 
-def prove_fold(steps: Sequence[StepOf], number: int, rest: Points, *, near: Points) -> tuple[Fold, ...]:
-    """The fold of step ``number`` at the image of one point at rest, if it can be proved; both (1, n)."""
+def prove_fold(steps: Sequence[StepOf], number: int, rest: Points) -> tuple[Fold, ...]:
+    """The fold of step ``number`` at the image of one point at rest (1, n), if it can be proved.
+
+    A Cayley step so steep that the point may have several midpoints there is left alone: it takes the point to nowhere
+    in particular, so that neither orientation is shown.
+    """
     cover = Cover(rest, np.zeros(1))
     for kind, field in steps[:number]:
         if kind is StepKind.CAYLEY:
@@ -69,11 +86,42 @@ def prove_fold(steps: Sequence[StepOf], number: int, rest: Points, *, near: Poin
             cover = explicit_image(field, cover)
     kind, field = steps[number]
     if kind is StepKind.CAYLEY:
-        cover = _midpoint_near(field, cover, near)
+        middle = _agreed_midpoint(field, cover.points)
+        if not len(middle):
+            return ()
+        cover = _midpoint_near(field, cover, middle)
     ceiling = _determinant_ceiling(kind, field, cover)
     if not ceiling < 0.0:
         return ()
     return (Fold(tuple(map(float, rest[0])), number, tuple(map(float, cover.points[0])), ceiling),)
+
+
+def _agreed_midpoint(field: Field, point: Points) -> Points:
+    """The midpoint of a point (1, n) if several ways agree on it, else none.
+
+    Newton's method from the point itself and from its usual start, and the branch that begins at the point as the field
+    grows from nothing to its full strength.
+    """
+    exact = np.zeros(1)
+    usual = solve(field, point, factor=-0.5, goals=exact)
+    branch, start = point, point
+    for number in range(1, BRANCH_STEPS + 1):
+        part = field.scaled(number / BRANCH_STEPS)
+        for _ in range(BRANCH_NEWTON):
+            values, gradients = part.displacement_and_gradient(branch)
+            matrix = np.eye(point.shape[1]) - 0.5 * gradients[0]
+            if not np.linalg.det(matrix) > 1e-6:  # the branch ends in a fold of id - D/2
+                return np.zeros((0, point.shape[1]))
+            branch = branch - np.linalg.solve(matrix, branch[0] - 0.5 * values[0] - point[0])[None]
+    for _ in range(BRANCH_NEWTON):
+        values, gradients = field.displacement_and_gradient(start)
+        matrix = np.eye(point.shape[1]) - 0.5 * gradients[0]
+        if not abs(np.linalg.det(matrix)) > 1e-6:
+            return np.zeros((0, point.shape[1]))
+        start = start - np.linalg.solve(matrix, start[0] - 0.5 * values[0] - point[0])[None]
+    reach = 1e-6 * (1.0 + float(np.abs(point).max()))
+    agreed = np.abs(branch - usual).max() < reach and np.abs(start - usual).max() < reach
+    return usual if agreed else np.zeros((0, point.shape[1]))
 
 
 def _midpoint_near(field: Field, cover: Cover, near: Points) -> Cover:
@@ -135,7 +183,7 @@ def _determinant_range(matrix: Float, radius: float) -> tuple[float, float]:
 
 
 def _descend(kind: StepKind, field: Field, starts: Points, stride: float) -> Points:
-    """Places with negative determinants found by a pattern search from the starts, most reversed first."""
+    """Places with negative determinants that a pattern search from the starts came across."""
     n = starts.shape[1]
     moves = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=n) if any(d)])
     here, strides = starts.copy(), np.full(len(starts), stride)
@@ -150,11 +198,15 @@ def _descend(kind: StepKind, field: Field, starts: Points, stride: float) -> Poi
         here = np.where(better[:, None], tried.reshape(len(here), -1, n)[rows, best], here)
         value = np.where(better, found[rows, best], value)
         strides = np.where(better, strides, 0.5 * strides)
-        folded.append(here[better & (value < 0.0)])
-        depths.append(value[better & (value < 0.0)])
+        flat = found.ravel()
+        folded.append(tried[flat < 0.0])
+        depths.append(flat[flat < 0.0])
     places, depth = np.concatenate(folded), np.concatenate(depths)
-    # The first places found are nearest to where the search began; the deepest come before them.
-    order: Points = places[np.argsort(depth, kind="stable")]
+    # Most of the places found first, nearest to where the search began, and the deepest: every other one.
+    deepest = np.argsort(depth, kind="stable")
+    both = np.stack([np.arange(len(places)), deepest], axis=1).ravel()
+    first_seen = np.unique(both, return_index=True)[1]
+    order: Points = places[both[np.sort(first_seen)]]
     return order
 
 
@@ -166,6 +218,17 @@ def _deciding(kind: StepKind, gradients: Gradients) -> Float:
     else:
         value = np.linalg.det(eye + 0.5 * gradients) * np.linalg.det(eye - 0.5 * gradients)
     return np.nan_to_num(value, nan=np.inf)
+
+
+def _carried(before: Sequence[StepOf], kind: StepKind, field: Field, points: Points) -> Points:
+    """About the places of a step (for a Cayley step: the midpoints) to which earlier steps take points at rest."""
+    exact = np.zeros(len(points))
+    for earlier, earlier_field in before:
+        if earlier is StepKind.CAYLEY:
+            points = 2.0 * solve(earlier_field, points, factor=-0.5, goals=exact) - points
+        else:
+            points = points + earlier_field.displacement(points)
+    return solve(field, points, factor=-0.5, goals=exact) if kind is StepKind.CAYLEY else points
 
 
 def _back_to_rest(before: Sequence[StepOf], kind: StepKind, field: Field, place: Points) -> Points:

@@ -65,6 +65,9 @@ SHELLS = (40, 160)
 """Voxels along the skin's longest side: the shell around the skin, and the finer one that is tried when no claim could
 be made of what is inside the first."""
 
+SAMPLES = 8000
+"""Grid points of the body's bounding box that a search for a fold looks at first."""
+
 MAX_SPLITS = 6
 """Times that a piece of the surface is cut in four before its midpoint is given up."""
 
@@ -139,7 +142,7 @@ def _judge(
         step = trial.certificate(proof)
         if step.claim is not MapClaim.CERTIFIED:
             starts, stride = trial.suspects(proof)
-            fold = find_fold(steps, number, starts, stride=stride, inside=body.inside)
+            fold = find_fold(steps, number, starts, stride=stride, samples=body.samples(), inside=body.inside)
             found.append(replace(step, claim=MapClaim.REFUTED) if fold else step)
             return tuple(found), fold
         found.append(step)
@@ -178,12 +181,23 @@ class _Body:
 
         return cls(box_shell(points), within)
 
+    def samples(self) -> Points:
+        """Points at rest inside the body: a grid with about ``SAMPLES`` points in its bounding box."""
+        low, high = self.patches.centres.min(axis=0), self.patches.centres.max(axis=0)
+        per_axis = max(2, round(SAMPLES ** (1.0 / len(low))))
+        axes = [np.linspace(low[k], high[k], per_axis) for k in range(len(low))]
+        points = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+        # On the box's own sides the grid is a rounding outside.
+        points += 1e-6 * (0.5 * (low + high) - points)
+        within: Points = points[self.inside(points)]
+        return within
+
     def midpoints(self, field: Field) -> Midpoints:
         """Where a Cayley step has the midpoints of the surface; pieces without a proved one are cut smaller first."""
         found = cayley_midpoints(field, self.cover)
         for _ in range(MAX_SPLITS):
             cut = ~found.found & np.isfinite(self.cover.radii)
-            if not self._may_cut(cut):
+            if found.hopeless.any() or not self._may_cut(cut):
                 break
             found = found.without(cut).joined(cayley_midpoints(field, self._cut(cut)))
         return found

@@ -22,7 +22,8 @@ class Fold:
     step : int
         The step that reverses orientation, counted from 0.
     place_in_step : Place
-        About where the steps before take the point; for a Cayley step its midpoint.
+        About where the steps before take the point; for a Cayley step its midpoint (the one that Newton's method and
+        the growing field agree on).
     determinant : float
         Below 0: a proved upper bound of det(I + grad D), or of det(I + grad D/2) det(I - grad D/2) for a Cayley step,
         which has the sign of its Jacobian.

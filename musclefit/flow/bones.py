@@ -102,9 +102,10 @@ def rigid_groups(
 class BoneStepper:
     """A step of the handles, then compact isochoric corrections wide to narrow, then one that puts the handles exactly.
 
-    The handles that must arrive exactly and the exposed vertices of the bones (`held_points`) are held to their rigid motion; each correction starts from where the steps before
-    took them, so that errors do not add up. In the contact zone two bones slide past each other closer than any tissue
-    between them could follow: there only the part along the bone's normal is held, and the field may slip.
+    The handles that must arrive exactly and the exposed vertices of the bones (`held_points`) are held to their rigid
+    motion; each correction starts from where the steps before took them, so that errors do not add up. In the contact
+    zone two bones slide past each other closer than any tissue between them could follow: there only the part along the
+    bone's normal is held, and the field may slip.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from musclefit.errors import NotConvergedError
+from musclefit.errors import FieldError, NotConvergedError
 from musclefit.fields.protocol import Backend
 from musclefit.flow.deformation import Deformation, Status, StepRecord
 from musclefit.flow.rules import Rule
@@ -140,7 +140,7 @@ def _stretch(stepper: Stepper, *, rule: Rule, points: Points, start: float, reac
             return _Stretch(tried.steps, (first, *more), tried.moved, end)
         if stepper.shortens_exactly:
             used = share * STRICTLY_BELOW
-            shortened = ExplicitStep(tried.step.field.scaled(tried.fraction * used))
+            shortened = ExplicitStep(tried.steps[0].field.scaled(tried.fraction * used))
             end = start + tried.fraction * used * (end - start)
             return _Stretch((shortened,), (StepRecord(start, end, 1.0 - used, tried.place),), shortened(points), end)
         rejected.append(end)
@@ -159,7 +159,7 @@ class _Success:
 
 @dataclass(frozen=True, slots=True)
 class _Failure:
-    step: Step
+    steps: tuple[Step, ...]
     fraction: float
     place: tuple[float, ...]
 
@@ -174,16 +174,19 @@ def _try(
     margins: list[float] = []
     places: list[tuple[float, ...]] = []
     for make in stepper.makers(start, end):
-        step = make(moved[:count], moved[count:])
         try:
+            step = make(moved[:count], moved[count:])
             trial = step.trial(moved)
-        except NotConvergedError:
-            return _Failure(step, 0.5, tuple(float(x) for x in moved[0]))
+        except (FieldError, NotConvergedError):
+            # Too long for a field at its middle (handles that meet there), or for a solution: half as long may do.
+            if stepper.shortens_exactly:
+                raise
+            return _Failure((), 0.5, tuple(float(x) for x in moved[0]))
         fractions = rule(trial.gradients)
         worst = int(np.argmin(fractions))
         fraction, place = float(fractions[worst]), tuple(float(x) for x in moved[worst])
         if not fraction * share > 1.0:
-            return _Failure(step, fraction, place)
+            return _Failure((step,), fraction, place)
         steps.append(step)
         margins.append(1.0 - 1.0 / fraction)
         places.append(place)

@@ -13,6 +13,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.maps import certify_map
+from musclefit.errors import InputError
 from musclefit.flow.bones import contact_residuals, exposed_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
@@ -30,13 +31,17 @@ from musclefit.pipeline.deformers import (
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side
 from musclefit.rig.job import Job
-from musclefit.rig.model import StepKind
+from musclefit.rig.model import JointDrive, StepKind
+from musclefit.validate.bones import first_collision
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
 from musclefit.validate.model import BoneFieldCheck, MapCheck, MapClaim
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets
 from musclefit.validate.tissues import check_tissues
+
+COLLISION_POSES = 12
+"""Poses on the way at which bones are tested for running into each other."""
 
 STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
     {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
@@ -125,9 +130,12 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     Raises
     ------
     InputError
-        The handles cannot drive a field.
+        The handles cannot drive a field, or rigid bones run into each other on the way; the message names them, the
+        pose and the depth.
     """
     progress = progress or Silent()
+    if job.rig.bones.rigid:
+        _refuse_colliding_bones(job, progress)
     solids = solid_anatomy(job.anatomy, progress=progress)
     points = job.anatomy.vertices()
     result = deform(job, points, progress=progress)
@@ -245,6 +253,23 @@ class _Finisher:
             residual_max_mm=float(exposed.max()),
             contact_residual_max_mm=float(contact.max(initial=0.0)),
         )
+
+
+def _refuse_colliding_bones(job: Job, progress: Progress) -> None:
+    """Raise before the soft tissue is touched when bones run into each other on the way to the pose."""
+    assert job.motions is not None  # a rig with rigid bones is driven by joints
+    with progress.stage("test the bones' way"):
+        fractions = [k / COLLISION_POSES for k in range(1, COLLISION_POSES + 1)]
+        found = first_collision(job.anatomy, [(at, job.motions.at(at)) for at in fractions])
+    if found is None:
+        return
+    assert isinstance(job.rig.drive, JointDrive)
+    pose = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in job.rig.drive.pose)
+    raise InputError(
+        f"bones {found.a!r} and {found.b!r} run into each other at {pose}: they share {found.volume_mm3:.3g} mm³, "
+        f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the joints, or let the bones "
+        "deform (bones.rigid = false)"
+    )
 
 
 def _final_motions(job: Job) -> Mapping[str, RigidMotion]:

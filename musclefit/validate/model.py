@@ -38,8 +38,8 @@ class MapCheck:
 
     ``margin`` is how far the worst place stays from the limit of the rule (0 at the limit, 1 at rest), over all steps;
     ``folded_points`` counts tested points with det of the whole Jacobian <= 0; ``place_mm`` is the worst place at rest.
-    Where a proof was tried, ``boxes_examined`` says how many boxes of space it took, ``boxes_left`` how many it could not
-    decide; ``margin`` is proved when the claim is certified.
+    Where a proof was tried, ``boxes_examined`` says how many boxes of space it took and ``boxes_left`` how many stay
+    undecided; ``margin`` is proved when the claim is certified.
     """
 
     claim: MapClaim

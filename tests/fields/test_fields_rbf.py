@@ -153,7 +153,7 @@ def test_coinciding_handles_are_an_error_that_says_so():
 def test_unknown_kernels_and_scales_are_errors():
     with pytest.raises(FieldError, match="no kernel is named 'tps'; there are: r, r2logr"):
         RadialBackend("tps")
-    with pytest.raises(FieldError, match="scale is -1.0 mm"):
+    with pytest.raises(FieldError, match=r"scale is -1\.0 mm"):
         RadialBackend("gaussian", scale=-1.0)
     with pytest.raises(FieldError, match="needs points in space"):
         RadialBackend("isochoric-r3").fit(np.zeros((3, 2)), np.zeros((3, 2)))

@@ -27,7 +27,8 @@ CORNERS = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
 def squeeze(distance: float) -> StraightPath:
     """Two inner points of a square pushed apart sideways, corners held: Fig. 1 of the paper in spirit."""
     inner = np.array([[45.0, 50.0], [55.0, 50.0]])
-    return StraightPath(np.vstack([CORNERS, inner]), np.vstack([CORNERS, inner + [[distance, 8.0], [-distance, -8.0]]]))
+    moved = inner + np.array([[distance, 8.0], [-distance, -8.0]])
+    return StraightPath(np.vstack([CORNERS, inner]), np.vstack([CORNERS, moved]))
 
 
 def determinants(deformation) -> np.ndarray:
@@ -61,7 +62,12 @@ def test_each_step_is_as_long_as_eq_6_allows():
 
 def test_testing_at_landmarks_only_is_not_enough():
     path, backend = squeeze(20.0), RadialBackend("r3")
-    shortcut = march(HandleStepper(path, backend, explicit_step), rule=row_norm_fractions, tested=points_beside(path.source), pace=Pace(60))
+    shortcut = march(
+        HandleStepper(path, backend, explicit_step),
+        rule=row_norm_fractions,
+        tested=points_beside(path.source),
+        pace=Pace(60),
+    )
     everywhere = march(HandleStepper(path, backend, explicit_step), rule=row_norm_fractions, tested=GRID, pace=Pace(60))
     assert len(shortcut.steps) < len(everywhere.steps)
 
@@ -79,9 +85,7 @@ def test_points_beside_see_the_slope_that_a_centre_hides():
 def test_no_rule_allows_a_fold_and_weaker_rules_allow_longer_steps():
     rng = np.random.default_rng(0)
     gradients = rng.normal(size=(2000, 3, 3))
-    by_rule = {
-        rule: rule(gradients) for rule in (row_norm_fractions, gershgorin_fractions, monotone_fractions)
-    }
+    by_rule = {rule: rule(gradients) for rule in (row_norm_fractions, gershgorin_fractions, monotone_fractions)}
     for fractions in by_rule.values():
         shares = np.linspace(0.0, 0.999, 25)
         for share in shares:
@@ -116,7 +120,12 @@ def test_a_march_without_a_safe_step_stalls_and_says_where():
 
 
 def test_a_march_out_of_steps_says_so_and_keeps_what_it_has():
-    loop = march(HandleStepper(squeeze(20.0), RadialBackend("r3"), explicit_step), rule=row_norm_fractions, tested=GRID, pace=Pace(2))
+    loop = march(
+        HandleStepper(squeeze(20.0), RadialBackend("r3"), explicit_step),
+        rule=row_norm_fractions,
+        tested=GRID,
+        pace=Pace(2),
+    )
     assert loop.status is Status.OUT_OF_STEPS
     assert len(loop.steps) == 2
     with pytest.raises(NotConvergedError, match="raise max_steps") as caught:
@@ -126,7 +135,9 @@ def test_a_march_out_of_steps_says_so_and_keeps_what_it_has():
 
 def test_rejected_ends_are_recorded_and_the_rest_is_marched():
     path = squeeze(20.0)
-    loop = march(HandleStepper(path, RadialBackend("r3"), cayley_step), rule=cayley_fractions, tested=GRID, pace=Pace(200))
+    loop = march(
+        HandleStepper(path, RadialBackend("r3"), cayley_step), rule=cayley_fractions, tested=GRID, pace=Pace(200)
+    )
     assert loop.status is Status.CONVERGED
     assert any(record.rejected for record in loop.records)
     for record in loop.records:
@@ -142,5 +153,10 @@ def test_a_straight_path_that_turns_by_half_stalls_where_a_bone_path_would_not()
     rng = np.random.default_rng(1)
     at = rng.uniform(-50.0, 50.0, (20, 3))
     half_turn = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), angle_deg=180.0)
-    loop = march(HandleStepper(StraightPath(at, half_turn(at)), RadialBackend("r3"), explicit_step), rule=row_norm_fractions, tested=at, pace=Pace(100))
+    loop = march(
+        HandleStepper(StraightPath(at, half_turn(at)), RadialBackend("r3"), explicit_step),
+        rule=row_norm_fractions,
+        tested=at,
+        pace=Pace(100),
+    )
     assert loop.status is not Status.CONVERGED

@@ -26,7 +26,12 @@ TESTED = RNG.uniform(-60.0, 60.0, (4000, 3))
 
 def marched(kernel, stepper, rule, *, scale: float = 40.0) -> Deformation:
     backend = FfdBackend(20.0) if kernel == "ffd" else RadialBackend(kernel, scale=scale)
-    deformation = march(HandleStepper(StraightPath(AT, MOVED), backend, stepper), rule=rule, tested=np.vstack([TESTED, AT]), pace=Pace(50))
+    deformation = march(
+        HandleStepper(StraightPath(AT, MOVED), backend, stepper),
+        rule=rule,
+        tested=np.vstack([TESTED, AT]),
+        pace=Pace(50),
+    )
     assert deformation.status is Status.CONVERGED
     return deformation
 
@@ -89,8 +94,15 @@ def test_points_are_moved_one_by_one(name):
 @pytest.mark.parametrize("kernel", ["r", "r2logr", "r3", "isochoric-r3", "isochoric-r5", "ffd"])
 @pytest.mark.parametrize("angle_deg", [10.0, 120.0, 170.0])
 def test_one_cayley_step_reproduces_any_rotation(kernel, angle_deg):
-    motion = RigidMotion.about_axis(centre=np.array([5.0, 1.0, 2.0]), axis=np.array([1.0, 2.0, 3.0]), angle_deg=angle_deg)
-    deformation = march(HandleStepper(StraightPath(AT, motion(AT)), FfdBackend() if kernel == "ffd" else RadialBackend(kernel), cayley_step), rule=cayley_fractions, tested=TESTED, pace=Pace(1)).require()
+    centre, axis = np.array([5.0, 1.0, 2.0]), np.array([1.0, 2.0, 3.0])
+    motion = RigidMotion.about_axis(centre=centre, axis=axis, angle_deg=angle_deg)
+    backend = FfdBackend() if kernel == "ffd" else RadialBackend(kernel)
+    deformation = march(
+        HandleStepper(StraightPath(AT, motion(AT)), backend, cayley_step),
+        rule=cayley_fractions,
+        tested=TESTED,
+        pace=Pace(1),
+    ).require()
     np.testing.assert_allclose(deformation(TESTED), motion(TESTED), rtol=0, atol=1e-8)
     assert deformation.margin == pytest.approx(1.0, abs=1e-9)
 

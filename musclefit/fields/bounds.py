@@ -12,12 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from musclefit.fields.box_sums import PARTS, sum_block
+from musclefit.fields.box_sums import sum_block
 from musclefit.fields.eigenvalues import eigenvalue_floor
-from musclefit.fields.terms import SMALL, slope_bound, value_terms
-
-LANES = 32
-"""Boxes that are summed side by side."""
+from musclefit.fields.terms import LANES, SMALL, slope_bound, value_terms
 
 UNRESOLVED = 0.01
 """Jumps at a centre above which nothing is said of the strain there."""
@@ -32,11 +29,22 @@ def rounding_share(m):
 @njit(cache=True, error_model="numpy")
 def _half_diagonals(half_widths, balls, start, stop, blur):
     """The farthest that a point of a box is from its centre, where it stays within the ball around it."""
-    h = np.empty(stop - start)
-    for i in range(start, stop):
+    h = np.empty(LANES)
+    for lane in range(LANES):
+        i = min(start + lane, stop - 1)
         x, y, z = half_widths[i, 0], half_widths[i, 1], half_widths[i, 2]
-        h[i - start] = min(np.sqrt(x * x + y * y + z * z), balls[i]) * (1.0 + 1e-15) + blur
+        h[lane] = min(np.sqrt(x * x + y * y + z * z), balls[i]) * (1.0 + 1e-15) + blur
     return h
+
+
+@njit(cache=True, error_model="numpy")
+def _block(boxes, start):
+    """(3, LANES) centres of the boxes from ``start`` on; the last one again where there are no more."""
+    where = np.empty((3, LANES))
+    for lane in range(LANES):
+        for k in range(3):
+            where[k, lane] = boxes[min(start + lane, boxes.shape[0] - 1), k]
+    return where
 
 
 @njit(cache=True, error_model="numpy")
@@ -126,9 +134,9 @@ def gradient_boxes(
     for block in prange((count + LANES - 1) // LANES):
         start, stop = block * LANES, min(count, (block + 1) * LANES)
         h = _half_diagonals(half_widths, balls, start, stop, blur)
-        sums = np.empty((PARTS, stop - start))
-        where = np.ascontiguousarray(boxes[start:stop].T)
-        sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
+        sums = sum_block(
+            code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h
+        )
         for i in range(stop - start):
             half = half_widths[start + i]
             longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
@@ -232,9 +240,9 @@ def strain_boxes(
     for block in prange((count + LANES - 1) // LANES):
         start, stop = block * LANES, min(count, (block + 1) * LANES)
         h = _half_diagonals(half_widths, balls, start, stop, blur)
-        sums = np.empty((PARTS, stop - start))
-        where = np.ascontiguousarray(boxes[start:stop].T)
-        sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, where, h, sums)
+        sums = sum_block(
+            code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h
+        )
         parts = np.empty((4, 6))
         for i in range(stop - start):
             for row in range(4):

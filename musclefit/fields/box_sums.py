@@ -8,7 +8,24 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from musclefit.fields.terms import isochoric_terms, scalar_terms
+from musclefit.fields.terms import (
+    LANES,
+    R2,
+    STRAIN,
+    SUMS,
+    B,
+    C,
+    D,
+    F,
+    G,
+    H,
+    T,
+    X,
+    Y,
+    Z,
+    isochoric_terms,
+    scalar_terms,
+)
 
 PARTS = 63
 """Rows of the sums of a box: the gradient (9), its derivatives (3 x 6), remainders of strain and of the whole, first,
@@ -16,113 +33,147 @@ second and third sizes, jumps, and the gradient's second derivatives (3 x 10).""
 
 
 @njit(cache=True, error_model="numpy")
-def _add_scalar(w, dx, dy, dz, g, f, t, sums):
+def _add_scalar(u, v, w, block):
     """Add one source's gradient w (g d)^T and its derivatives w_i (f delta_kl + t d_k d_l) to the rows of ``sums``."""
-    for i in range(dx.size):
-        x, y, z = dx[i], dy[i], dz[i]
-        gx, gy, gz = g[i] * x, g[i] * y, g[i] * z
-        tx, ty = t[i] * x, t[i] * y
-        xx, xy, xz = f[i] + tx * x, tx * y, tx * z
-        yy, yz, zz = f[i] + ty * y, ty * z, f[i] + t[i] * z * z
-        for k in range(3):
-            a = w[k]
-            sums[3 * k, i] += a * gx
-            sums[3 * k + 1, i] += a * gy
-            sums[3 * k + 2, i] += a * gz
-            sums[9 + 6 * k, i] += a * xx
-            sums[10 + 6 * k, i] += a * xy
-            sums[11 + 6 * k, i] += a * xz
-            sums[12 + 6 * k, i] += a * yy
-            sums[13 + 6 * k, i] += a * yz
-            sums[14 + 6 * k, i] += a * zz
+    for i in range(LANES):
+        x, y, z = block[X + i], block[Y + i], block[Z + i]
+        gx, gy, gz = block[G + i] * x, block[G + i] * y, block[G + i] * z
+        tx, ty = block[T + i] * x, block[T + i] * y
+        xx, xy, xz = block[F + i] + tx * x, tx * y, tx * z
+        yy, yz, zz = block[F + i] + ty * y, ty * z, block[F + i] + block[T + i] * z * z
+        block[SUMS + 0 * LANES + i] += u * gx
+        block[SUMS + 1 * LANES + i] += u * gy
+        block[SUMS + 2 * LANES + i] += u * gz
+        block[SUMS + 9 * LANES + i] += u * xx
+        block[SUMS + 10 * LANES + i] += u * xy
+        block[SUMS + 11 * LANES + i] += u * xz
+        block[SUMS + 12 * LANES + i] += u * yy
+        block[SUMS + 13 * LANES + i] += u * yz
+        block[SUMS + 14 * LANES + i] += u * zz
+        block[SUMS + 3 * LANES + i] += v * gx
+        block[SUMS + 4 * LANES + i] += v * gy
+        block[SUMS + 5 * LANES + i] += v * gz
+        block[SUMS + 15 * LANES + i] += v * xx
+        block[SUMS + 16 * LANES + i] += v * xy
+        block[SUMS + 17 * LANES + i] += v * xz
+        block[SUMS + 18 * LANES + i] += v * yy
+        block[SUMS + 19 * LANES + i] += v * yz
+        block[SUMS + 20 * LANES + i] += v * zz
+        block[SUMS + 6 * LANES + i] += w * gx
+        block[SUMS + 7 * LANES + i] += w * gy
+        block[SUMS + 8 * LANES + i] += w * gz
+        block[SUMS + 21 * LANES + i] += w * xx
+        block[SUMS + 22 * LANES + i] += w * xy
+        block[SUMS + 23 * LANES + i] += w * xz
+        block[SUMS + 24 * LANES + i] += w * yy
+        block[SUMS + 25 * LANES + i] += w * yz
+        block[SUMS + 26 * LANES + i] += w * zz
 
 
 @njit(cache=True, error_model="numpy")
-def _add_third(w, dx, dy, dz, b, c, sums):
+def _add_scalar_third(u, v, w, block):
     """Add w_i (b (x_k delta_lm + x_l delta_km + x_m delta_kl) + c x_k x_l x_m), k <= l <= m in order."""
-    for i in range(dx.size):
-        x, y, z = dx[i], dy[i], dz[i]
-        bx, by, bz = b[i] * x, b[i] * y, b[i] * z
-        cx, cy, cz = c[i] * x * x, c[i] * y * y, c[i] * z * z
+    for i in range(LANES):
+        x, y, z = block[X + i], block[Y + i], block[Z + i]
+        bx, by, bz = block[B + i] * x, block[B + i] * y, block[B + i] * z
+        cx, cy, cz = block[C + i] * x * x, block[C + i] * y * y, block[C + i] * z * z
         xxx, xxy, xxz = 3.0 * bx + cx * x, by + cx * y, bz + cx * z
-        xyy, xyz, xzz = bx + cy * x, c[i] * x * y * z, bx + cz * x
+        xyy, xyz, xzz = bx + cy * x, block[C + i] * x * y * z, bx + cz * x
         yyy, yyz, yzz, zzz = 3.0 * by + cy * y, bz + cy * z, by + cz * y, 3.0 * bz + cz * z
-        for k in range(3):
-            a = w[k]
-            sums[33 + 10 * k, i] += a * xxx
-            sums[34 + 10 * k, i] += a * xxy
-            sums[35 + 10 * k, i] += a * xxz
-            sums[36 + 10 * k, i] += a * xyy
-            sums[37 + 10 * k, i] += a * xyz
-            sums[38 + 10 * k, i] += a * xzz
-            sums[39 + 10 * k, i] += a * yyy
-            sums[40 + 10 * k, i] += a * yyz
-            sums[41 + 10 * k, i] += a * yzz
-            sums[42 + 10 * k, i] += a * zzz
+        block[SUMS + 33 * LANES + i] += u * xxx
+        block[SUMS + 34 * LANES + i] += u * xxy
+        block[SUMS + 35 * LANES + i] += u * xxz
+        block[SUMS + 36 * LANES + i] += u * xyy
+        block[SUMS + 37 * LANES + i] += u * xyz
+        block[SUMS + 38 * LANES + i] += u * xzz
+        block[SUMS + 39 * LANES + i] += u * yyy
+        block[SUMS + 40 * LANES + i] += u * yyz
+        block[SUMS + 41 * LANES + i] += u * yzz
+        block[SUMS + 42 * LANES + i] += u * zzz
+        block[SUMS + 43 * LANES + i] += v * xxx
+        block[SUMS + 44 * LANES + i] += v * xxy
+        block[SUMS + 45 * LANES + i] += v * xxz
+        block[SUMS + 46 * LANES + i] += v * xyy
+        block[SUMS + 47 * LANES + i] += v * xyz
+        block[SUMS + 48 * LANES + i] += v * xzz
+        block[SUMS + 49 * LANES + i] += v * yyy
+        block[SUMS + 50 * LANES + i] += v * yyz
+        block[SUMS + 51 * LANES + i] += v * yzz
+        block[SUMS + 52 * LANES + i] += v * zzz
+        block[SUMS + 53 * LANES + i] += w * xxx
+        block[SUMS + 54 * LANES + i] += w * xxy
+        block[SUMS + 55 * LANES + i] += w * xxz
+        block[SUMS + 56 * LANES + i] += w * xyy
+        block[SUMS + 57 * LANES + i] += w * xyz
+        block[SUMS + 58 * LANES + i] += w * xzz
+        block[SUMS + 59 * LANES + i] += w * yyy
+        block[SUMS + 60 * LANES + i] += w * yyz
+        block[SUMS + 61 * LANES + i] += w * yzz
+        block[SUMS + 62 * LANES + i] += w * zzz
 
 
 @njit(cache=True, error_model="numpy")
-def _add_isochoric(a, b, c, dx, dy, dz, r2, f2, f3, f4, sums):
+def _add_isochoric(a, b, c, block):
     """The same for D = -omega w + (grad d_w psi).
 
     d_k D_i = A w_i x_k + f_3 s x_i x_k + f_2 (w_k x_i + s delta_ik), s = x . w, A = -(4 f_2 + r² f_3);
     d_l d_k D_i = w_i P_kl + x_i Q_kl + delta_il z_k + delta_ik z_l with P = A' x x^T + A I, A' = -(6 f_3 + r² f_4),
     Q = f_4 s x x^T + f_3 (w x^T + x w^T) + f_3 s I, z = f_3 s x + f_2 w.
     """
-    for i in range(dx.size):
-        x, y, z = dx[i], dy[i], dz[i]
+    for i in range(LANES):
+        x, y, z = block[X + i], block[Y + i], block[Z + i]
         s = x * a + y * b + z * c
-        A = -(4.0 * f2[i] + r2[i] * f3[i])
-        slope = -(6.0 * f3[i] + r2[i] * f4[i])
-        curl = f3[i] * s
-        along = f2[i] * s
+        A = -(4.0 * block[G + i] + block[R2 + i] * block[F + i])
+        slope = -(6.0 * block[F + i] + block[R2 + i] * block[T + i])
+        curl = block[F + i] * s
+        along = block[G + i] * s
         ux, uy, uz = A * a + curl * x, A * b + curl * y, A * c + curl * z
-        vx, vy, vz = f2[i] * x, f2[i] * y, f2[i] * z
-        sums[0, i] += ux * x + vx * a + along
-        sums[1, i] += ux * y + vx * b
-        sums[2, i] += ux * z + vx * c
-        sums[3, i] += uy * x + vy * a
-        sums[4, i] += uy * y + vy * b + along
-        sums[5, i] += uy * z + vy * c
-        sums[6, i] += uz * x + vz * a
-        sums[7, i] += uz * y + vz * b
-        sums[8, i] += uz * z + vz * c + along
-        fa, fb, fc = f3[i] * a, f3[i] * b, f3[i] * c
-        qx, qy, qz = f4[i] * s * x, f4[i] * s * y, f4[i] * s * z
+        vx, vy, vz = block[G + i] * x, block[G + i] * y, block[G + i] * z
+        block[SUMS + 0 * LANES + i] += ux * x + vx * a + along
+        block[SUMS + 1 * LANES + i] += ux * y + vx * b
+        block[SUMS + 2 * LANES + i] += ux * z + vx * c
+        block[SUMS + 3 * LANES + i] += uy * x + vy * a
+        block[SUMS + 4 * LANES + i] += uy * y + vy * b + along
+        block[SUMS + 5 * LANES + i] += uy * z + vy * c
+        block[SUMS + 6 * LANES + i] += uz * x + vz * a
+        block[SUMS + 7 * LANES + i] += uz * y + vz * b
+        block[SUMS + 8 * LANES + i] += uz * z + vz * c + along
+        fa, fb, fc = block[F + i] * a, block[F + i] * b, block[F + i] * c
+        qx, qy, qz = block[T + i] * s * x, block[T + i] * s * y, block[T + i] * s * z
         Qxx, Qxy, Qxz = qx * x + 2.0 * fa * x + curl, qx * y + fa * y + fb * x, qx * z + fa * z + fc * x
         Qyy, Qyz, Qzz = qy * y + 2.0 * fb * y + curl, qy * z + fb * z + fc * y, qz * z + 2.0 * fc * z + curl
         px, py, pz = slope * x, slope * y, slope * z
         Pxx, Pxy, Pxz, Pyy, Pyz, Pzz = px * x + A, px * y, px * z, py * y + A, py * z, pz * z + A
-        zx, zy, zz = curl * x + f2[i] * a, curl * y + f2[i] * b, curl * z + f2[i] * c
-        sums[9, i] += a * Pxx + x * Qxx + 2.0 * zx
-        sums[10, i] += a * Pxy + x * Qxy + zy
-        sums[11, i] += a * Pxz + x * Qxz + zz
-        sums[12, i] += a * Pyy + x * Qyy
-        sums[13, i] += a * Pyz + x * Qyz
-        sums[14, i] += a * Pzz + x * Qzz
-        sums[15, i] += b * Pxx + y * Qxx
-        sums[16, i] += b * Pxy + y * Qxy + zx
-        sums[17, i] += b * Pxz + y * Qxz
-        sums[18, i] += b * Pyy + y * Qyy + 2.0 * zy
-        sums[19, i] += b * Pyz + y * Qyz + zz
-        sums[20, i] += b * Pzz + y * Qzz
-        sums[21, i] += c * Pxx + z * Qxx
-        sums[22, i] += c * Pxy + z * Qxy
-        sums[23, i] += c * Pxz + z * Qxz + zx
-        sums[24, i] += c * Pyy + z * Qyy
-        sums[25, i] += c * Pyz + z * Qyz + zy
-        sums[26, i] += c * Pzz + z * Qzz + 2.0 * zz
+        zx, zy, zz = curl * x + block[G + i] * a, curl * y + block[G + i] * b, curl * z + block[G + i] * c
+        block[SUMS + 9 * LANES + i] += a * Pxx + x * Qxx + 2.0 * zx
+        block[SUMS + 10 * LANES + i] += a * Pxy + x * Qxy + zy
+        block[SUMS + 11 * LANES + i] += a * Pxz + x * Qxz + zz
+        block[SUMS + 12 * LANES + i] += a * Pyy + x * Qyy
+        block[SUMS + 13 * LANES + i] += a * Pyz + x * Qyz
+        block[SUMS + 14 * LANES + i] += a * Pzz + x * Qzz
+        block[SUMS + 15 * LANES + i] += b * Pxx + y * Qxx
+        block[SUMS + 16 * LANES + i] += b * Pxy + y * Qxy + zx
+        block[SUMS + 17 * LANES + i] += b * Pxz + y * Qxz
+        block[SUMS + 18 * LANES + i] += b * Pyy + y * Qyy + 2.0 * zy
+        block[SUMS + 19 * LANES + i] += b * Pyz + y * Qyz + zz
+        block[SUMS + 20 * LANES + i] += b * Pzz + y * Qzz
+        block[SUMS + 21 * LANES + i] += c * Pxx + z * Qxx
+        block[SUMS + 22 * LANES + i] += c * Pxy + z * Qxy
+        block[SUMS + 23 * LANES + i] += c * Pxz + z * Qxz + zx
+        block[SUMS + 24 * LANES + i] += c * Pyy + z * Qyy
+        block[SUMS + 25 * LANES + i] += c * Pyz + z * Qyz + zy
+        block[SUMS + 26 * LANES + i] += c * Pzz + z * Qzz + 2.0 * zz
 
 
 @njit(cache=True, error_model="numpy")
-def _add_isochoric_third(a, b, c, dx, dy, dz, r2, f3, f4, f5, sums):
+def _add_isochoric_third(a, b, c, block):
     """Add d_k d_l d_m D_i = V_iklm - w_i W_klm, k <= l <= m in order.
 
     V is the fourth derivative of d_w psi; with any vector n four times f_5 s (x.n)⁴ + f_4 (6 s (x.n)² n² + 4 (w.n)
     (x.n)³) + f_3 (3 s n⁴ + 12 (w.n) (x.n) n²), s = x . w. W is that of omega: omega_3 (x.n)³ + 3 omega_2 (x.n) n².
     """
-    for i in range(dx.size):
-        x, y, z, p, q, r = dx[i], dy[i], dz[i], f3[i], f4[i], f5[i]
+    for i in range(LANES):
+        x, y, z, p, q, r = block[X + i], block[Y + i], block[Z + i], block[B + i], block[C + i], block[D + i]
         s = x * a + y * b + z * c
         xx, yy, zz = x * x, y * y, z * z
         xy, xz, yz = x * y, x * z, y * z
@@ -144,90 +195,93 @@ def _add_isochoric_third(a, b, c, dx, dy, dz, r2, f3, f4, f5, sums):
         Vxxyz = rs * xx * yz + qs * yz + q * (2.0 * a * x * yz + xx * (bz + cy)) + p * (bz + cy)
         Vxyyz = rs * yy * xz + qs * xz + q * (2.0 * b * y * xz + yy * (az + cx)) + p * (az + cx)
         Vxyzz = rs * zz * xy + qs * xy + q * (2.0 * c * z * xy + zz * (ay + bx)) + p * (ay + bx)
-        two, three = 7.0 * p + r2[i] * q, 9.0 * q + r2[i] * r
+        two, three = 7.0 * p + block[R2 + i] * q, 9.0 * q + block[R2 + i] * r
         Wxxx, Wyyy, Wzzz = x * (three * xx + 3.0 * two), y * (three * yy + 3.0 * two), z * (three * zz + 3.0 * two)
         Wxxy, Wxxz = y * (three * xx + two), z * (three * xx + two)
         Wxyy, Wyyz = x * (three * yy + two), z * (three * yy + two)
         Wxzz, Wyzz = x * (three * zz + two), y * (three * zz + two)
         Wxyz = three * x * yz
-        sums[33, i] += Vxxxx - a * Wxxx
-        sums[34, i] += Vxxxy - a * Wxxy
-        sums[35, i] += Vxxxz - a * Wxxz
-        sums[36, i] += Vxxyy - a * Wxyy
-        sums[37, i] += Vxxyz - a * Wxyz
-        sums[38, i] += Vxxzz - a * Wxzz
-        sums[39, i] += Vxyyy - a * Wyyy
-        sums[40, i] += Vxyyz - a * Wyyz
-        sums[41, i] += Vxyzz - a * Wyzz
-        sums[42, i] += Vxzzz - a * Wzzz
-        sums[43, i] += Vxxxy - b * Wxxx
-        sums[44, i] += Vxxyy - b * Wxxy
-        sums[45, i] += Vxxyz - b * Wxxz
-        sums[46, i] += Vxyyy - b * Wxyy
-        sums[47, i] += Vxyyz - b * Wxyz
-        sums[48, i] += Vxyzz - b * Wxzz
-        sums[49, i] += Vyyyy - b * Wyyy
-        sums[50, i] += Vyyyz - b * Wyyz
-        sums[51, i] += Vyyzz - b * Wyzz
-        sums[52, i] += Vyzzz - b * Wzzz
-        sums[53, i] += Vxxxz - c * Wxxx
-        sums[54, i] += Vxxyz - c * Wxxy
-        sums[55, i] += Vxxzz - c * Wxxz
-        sums[56, i] += Vxyyz - c * Wxyy
-        sums[57, i] += Vxyzz - c * Wxyz
-        sums[58, i] += Vxzzz - c * Wxzz
-        sums[59, i] += Vyyyz - c * Wyyy
-        sums[60, i] += Vyyzz - c * Wyyz
-        sums[61, i] += Vyzzz - c * Wyzz
-        sums[62, i] += Vzzzz - c * Wzzz
+        block[SUMS + 33 * LANES + i] += Vxxxx - a * Wxxx
+        block[SUMS + 34 * LANES + i] += Vxxxy - a * Wxxy
+        block[SUMS + 35 * LANES + i] += Vxxxz - a * Wxxz
+        block[SUMS + 36 * LANES + i] += Vxxyy - a * Wxyy
+        block[SUMS + 37 * LANES + i] += Vxxyz - a * Wxyz
+        block[SUMS + 38 * LANES + i] += Vxxzz - a * Wxzz
+        block[SUMS + 39 * LANES + i] += Vxyyy - a * Wyyy
+        block[SUMS + 40 * LANES + i] += Vxyyz - a * Wyyz
+        block[SUMS + 41 * LANES + i] += Vxyzz - a * Wyzz
+        block[SUMS + 42 * LANES + i] += Vxzzz - a * Wzzz
+        block[SUMS + 43 * LANES + i] += Vxxxy - b * Wxxx
+        block[SUMS + 44 * LANES + i] += Vxxyy - b * Wxxy
+        block[SUMS + 45 * LANES + i] += Vxxyz - b * Wxxz
+        block[SUMS + 46 * LANES + i] += Vxyyy - b * Wxyy
+        block[SUMS + 47 * LANES + i] += Vxyyz - b * Wxyz
+        block[SUMS + 48 * LANES + i] += Vxyzz - b * Wxzz
+        block[SUMS + 49 * LANES + i] += Vyyyy - b * Wyyy
+        block[SUMS + 50 * LANES + i] += Vyyyz - b * Wyyz
+        block[SUMS + 51 * LANES + i] += Vyyzz - b * Wyzz
+        block[SUMS + 52 * LANES + i] += Vyzzz - b * Wzzz
+        block[SUMS + 53 * LANES + i] += Vxxxz - c * Wxxx
+        block[SUMS + 54 * LANES + i] += Vxxyz - c * Wxxy
+        block[SUMS + 55 * LANES + i] += Vxxzz - c * Wxxz
+        block[SUMS + 56 * LANES + i] += Vxyyz - c * Wxyy
+        block[SUMS + 57 * LANES + i] += Vxyzz - c * Wxyz
+        block[SUMS + 58 * LANES + i] += Vxzzz - c * Wxzz
+        block[SUMS + 59 * LANES + i] += Vyyyz - c * Wyyy
+        block[SUMS + 60 * LANES + i] += Vyyzz - c * Wyyz
+        block[SUMS + 61 * LANES + i] += Vyzzz - c * Wyzz
+        block[SUMS + 62 * LANES + i] += Vzzzz - c * Wzzz
 
 
 @njit(cache=True, error_model="numpy")
-def sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, h, sums):
-    """Sums of a block of boxes: ``boxes`` (3, L) centres local to the origin, ``h`` (L,) half diagonals with blur."""
-    lanes = h.size
-    dx, dy, dz, r2 = np.empty(lanes), np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    g, f, t = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    b, c, d = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    strain, whole, jump = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    first, second, third = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    sums[:, :] = 0.0
-    middle, block = _enclosing_ball(boxes, h)
+def _add_remainders(size, block):
+    """Add a source's share of remainders, sizes and jump: six rows."""
+    for k in range(6):
+        for i in range(LANES):
+            block[SUMS + (27 + k) * LANES + i] += size * block[STRAIN + k * LANES + i]
+
+
+@njit(cache=True, error_model="numpy")
+def _offsets(x, y, z, places, block):
+    """From a source to the boxes' centres."""
+    for i in range(LANES):
+        dx, dy, dz = places[i] - x, places[LANES + i] - y, places[2 * LANES + i] - z
+        block[X + i], block[Y + i], block[Z + i] = dx, dy, dz
+        block[R2 + i] = dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, error_model="numpy")
+def sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, h):
+    """Sums (PARTS, LANES) over the sources: ``boxes`` (3, LANES) local centres, ``h`` half diagonals with blur."""
+    block = np.zeros(SUMS + PARTS * LANES)
+    places = boxes.copy().reshape(-1)
+    block[H : H + LANES] = h
+    middle, radius = _enclosing_ball(boxes, h)
     for j in range(sizes.size):
         x, y, z = sources[0, j], sources[1, j], sources[2, j]
         if reach < np.inf:  # compact: no box of the block within the support
             away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2
-            if away * (1.0 - 1e-12) > (block + reach) ** 2:
+            if away * (1.0 - 1e-12) > (radius + reach) ** 2:
                 continue
-        for i in range(lanes):
-            dx[i], dy[i], dz[i] = boxes[0, i] - x, boxes[1, i] - y, boxes[2, i] - z
-            r2[i] = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i]
-        size = sizes[j]
+        _offsets(x, y, z, places, block)
+        u, v, w = weights[0, j], weights[1, j], weights[2, j]
         if isochoric:
-            isochoric_terms(
-                code, scale, extent, table, r2, h, g, f, t, b, c, d, strain, whole, first, second, third, jump
-            )
-            u, v, w = weights[0, j], weights[1, j], weights[2, j]
-            _add_isochoric(u, v, w, dx, dy, dz, r2, g, f, t, sums)
-            _add_isochoric_third(u, v, w, dx, dy, dz, r2, b, c, d, sums)
+            isochoric_terms(code, scale, extent, table, block)
+            _add_isochoric(u, v, w, block)
+            _add_isochoric_third(u, v, w, block)
         else:
-            scalar_terms(code, scale, extent, table, r2, h, g, f, t, b, c, strain, first, second, third, jump)
-            _add_scalar(weights[:, j], dx, dy, dz, g, f, t, sums)
+            scalar_terms(code, scale, extent, table, block)
+            _add_scalar(u, v, w, block)
             if code <= 2:
-                _add_third(weights[:, j], dx, dy, dz, b, c, sums)
-            whole[:] = strain
-        for i in range(lanes):
-            sums[27, i] += size * strain[i]
-            sums[28, i] += size * whole[i]
-            sums[29, i] += size * first[i]
-            sums[30, i] += size * second[i]
-            sums[31, i] += size * third[i]
-            sums[32, i] += size * jump[i]
+                _add_scalar_third(u, v, w, block)
+        _add_remainders(sizes[j], block)
+    sums = block[SUMS:].copy().reshape(PARTS, LANES)
     parts = np.abs(linear).sum()
-    for i in range(lanes):
+    for i in range(LANES):
         sums[29, i] += parts
         for k in range(9):
             sums[k, i] += linear[k // 3, k % 3]
+    return sums
 
 
 @njit(cache=True, error_model="numpy")

@@ -34,6 +34,7 @@ from musclefit.certify.strain import (
     strain_ball_ranges,
     symmetric_eigenvalues,
 )
+from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Points
 
@@ -120,13 +121,19 @@ class Midpoints:
 
 
 def displacement_with_error(field: Field, points: Points) -> tuple[Points, Float]:
-    """Values and (N,) proved bounds of how far they are off, in length; fields without proof of their own are trusted
-    to 1e-12 of coordinates and values."""
-    if isinstance(field, DisplacementBounded):
-        values, radii = field.displacement_bounds(points, np.zeros_like(points))
-        return values, np.linalg.norm(radii, axis=1) * UP
-    values = field.displacement(points)
-    return values, 1e-12 * (np.abs(points).sum(axis=1) + np.abs(values).sum(axis=1))
+    """Values and (N,) proved bounds of how far they are off, in length.
+
+    Raises
+    ------
+    InputError
+        The field does not bound its values.
+    """
+    if not isinstance(field, DisplacementBounded):
+        raise InputError(
+            f"a {type(field).__name__} gives no displacement_bounds, so no step made from it can be certified"
+        )
+    values, radii = field.displacement_bounds(points, np.zeros_like(points))
+    return values, np.linalg.norm(radii, axis=1) * UP
 
 
 def explicit_image(field: Field, cover: Cover) -> Cover:

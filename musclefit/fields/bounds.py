@@ -1,4 +1,4 @@
-"""Rigorous sums over boxes and sources: enclosures of a radial field's gradient, strain and value, rounded outward.
+"""Rigorous sums over boxes and sources: enclosures of a radial field's gradient and strain, rounded outward.
 
 The terms come from `terms`. Nothing here is reassociated or contracted, so every operation is correctly rounded. Sums
 of m terms, each of fewer than 100 operations on parts whose absolute values add to at most ``first`` (of the gradient)
@@ -14,16 +14,10 @@ from numba import njit, prange
 
 from musclefit.fields.box_sums import sum_block
 from musclefit.fields.eigenvalues import eigenvalue_floor
-from musclefit.fields.terms import LANES, SMALL, slope_bound, value_terms
+from musclefit.fields.terms import LANES, SMALL, rounding_share
 
 UNRESOLVED = 0.01
 """Jumps at a centre above which nothing is said of the strain there."""
-
-
-@njit(cache=True, error_model="numpy")
-def rounding_share(m):
-    """GAMMA(m): relative rounding of a sum of m terms, generously."""
-    return (m + 400.0) * 2.3e-16
 
 
 @njit(cache=True, error_model="numpy")
@@ -258,33 +252,3 @@ def strain_boxes(
                 middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan
             if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
                 bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def values(code, isochoric, scale, slope, sources, weights, sizes, points, blur, out, errors):
-    """Write the radial sum at points (N, 3) local to the origin to ``out``, and its rounding error to ``errors`` (N,).
-
-    ``slope``: the constant of the kernel's sup |grad D| per unit of weight (see `slope_bound`).
-    """
-    m = sizes.size
-    for i in prange(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        u, v, w, parts, steep = 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(m):
-            dx, dy, dz = x - sources[0, j], y - sources[1, j], z - sources[2, j]
-            r = np.sqrt(dx * dx + dy * dy + dz * dz)
-            a, b, c = weights[0, j], weights[1, j], weights[2, j]
-            f, g, size = value_terms(code, scale, r)
-            if isochoric:
-                s = g * (dx * a + dy * b + dz * c)
-                u += f * a + s * dx
-                v += f * b + s * dy
-                w += f * c + s * dz
-            else:
-                u += f * a
-                v += f * b
-                w += f * c
-            parts += sizes[j] * size
-            steep += sizes[j] * slope_bound(code, slope, r + 2.0 * blur)
-        out[i, 0], out[i, 1], out[i, 2] = u, v, w
-        errors[i] = (4.0 * rounding_share(m) * parts + blur * steep) * (1.0 + rounding_share(m)) + SMALL

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from musclefit.errors import FieldError
-from musclefit.fields import bounds
+from musclefit.fields import bounds, value_bounds
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.majorants import EXTENTS, majorants
+from musclefit.fields.terms import rounding_share
 from musclefit.geometry.arrays import Float, Gradients, Points
 
 if TYPE_CHECKING:
@@ -74,16 +75,18 @@ def strain_bounds(
 def displacement_bounds(field: RadialField, centres: Points, half_widths: Float) -> tuple[Points, Float]:
     """Enclose the displacement over boxes; see `musclefit.fields.rbf.RadialField.displacement_bounds`."""
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
-    code, _, scale, _, table, _, sources, weights, sizes, _ = boxes.field
+    code, isochoric, scale, _, table, _, sources, weights, sizes, _ = boxes.field
     summed, errors = np.empty_like(boxes.local), np.empty(len(centres))
     slope = table[4].max() / (scale if code in EXTENTS else 1.0)
-    bounds.values(code, boxes.field[1], scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
+    value_bounds.values(
+        code, boxes.field[1], scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors
+    )
     affine = field.translation + (centres - field.origin) @ field.linear.T
     values: Points = affine + summed[:, :n]
     parts = (
         np.abs(field.translation).sum() + (np.abs(boxes.local).sum(axis=1) + boxes.blur) * np.abs(field.linear).sum()
     )
-    share = bounds.rounding_share(len(sizes))
+    share = rounding_share(len(sizes))
     radii = np.repeat((errors + share * (parts + np.abs(values).max(axis=1)))[:, None], n, axis=1)
     if half_widths.any():
         gradients, spread = gradient_bounds(field, centres, half_widths, balls=endless(centres))

@@ -55,6 +55,12 @@ SUMS = 17 * LANES
 """The first row after those of one source."""
 
 
+@njit(cache=True, error_model="numpy")
+def rounding_share(m):
+    """GAMMA(m): relative rounding of a sum of m terms, generously."""
+    return (m + 400.0) * 2.3e-16
+
+
 @njit(inline="always")
 def _cell(low, scale, extent, cells):
     """Cell of a majorant table for a distance that is at least ``low``."""
@@ -355,51 +361,3 @@ def _terms_of_wendland_c6(scale, extent, table, block):
         block[STRAIN + i], block[WHOLE + i], block[JUMP + i] = strain, whole, jump
         block[FIRST + i], block[SECOND + i] = inside * 1e5 * s, inside * 6e5 * s2
         block[THIRD + i] = inside * 5e6 * s2 * s
-
-
-@njit(cache=True, error_model="numpy")
-def slope_bound(code, slope, r):
-    """Sup of |grad D| per unit of weight over distances up to r, from the constant or the table's largest value."""
-    if code == 1:
-        return r * (2.0 * abs(np.log(max(r, 1e-100))) + 1.0) + 1.0
-    if code == 2 or code == 22:
-        return slope * r * r
-    return slope
-
-
-@njit(cache=True, error_model="numpy")
-def value_terms(code, scale, r):
-    """f and g of K(x) w = f w + g (x . w) x, and a bound of the sum of the absolute values of their rounded parts."""
-    q = r / scale
-    u = max(1.0 - q, 0.0)
-    inside = 1.0 if q < 1.0 + 1e-12 else 0.0
-    if code == 0:
-        return -r, 0.0, r
-    if code == 1:
-        if r < 1e-150:
-            return 0.0, 0.0, SMALL
-        log = np.log(r)
-        return r * r * log, 0.0, r * r * (abs(log) + 1.0)
-    if code == 2:
-        return r * r * r, 0.0, r * r * r
-    if code == 3:
-        return np.exp(-q * q), 0.0, 1.0
-    if code == 4:
-        return 1.0 / np.sqrt(1.0 + q * q), 0.0, 1.0
-    if code == 5:
-        return u * u * u * u * (4.0 * q + 1.0), 0.0, 5.0 * inside
-    if code == 6:
-        return u * u * u * u * u * u * (35.0 * q * q + 18.0 * q + 3.0) / 3.0, 0.0, 19.0 * inside
-    if code == 20:
-        return -9.0 * r, 3.0 / max(r, 1e-100), 12.0 * r
-    if code == 21:
-        rho = np.sqrt(r * r + scale * scale)
-        return -6.0 * rho - 3.0 * r * r / rho, 3.0 / rho, 12.0 * rho
-    if code == 22:
-        return 25.0 * r * r * r, -15.0 * r, 40.0 * r * r * r
-    u6 = u * u * u * u * u * u
-    return (
-        44.0 * u6 * (1.0 + q * (6.0 - q * (3.0 + 88.0 * q))),
-        528.0 * u6 * (6.0 * q + 1.0) / (scale * scale),
-        8100.0 * inside,
-    )

@@ -424,7 +424,14 @@ def test_progress_never_runs_back() -> None:
     assert all(0.0 <= done <= 1.0 for done in watched.seen)
 
 
-def test_skins_that_hold_nothing_are_named() -> None:
+class _Unbounded:
+    """A field with enclosed gradients, but values that nobody vouches for."""
+
+    def gradient_bounds(self, centres: np.ndarray, half_widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((len(centres), 3, 3)), np.zeros_like(half_widths[:, 0])
+
+
+def test_what_cannot_be_certified_is_named() -> None:
     whole = sphere(10.0)
     with pytest.raises(MeshError, match="3 open edges, the first between vertices"):
         certify_map([(E, affine(np.zeros((3, 3))))], TriMesh(whole.vertices, whole.faces[1:]))
@@ -432,6 +439,8 @@ def test_skins_that_hold_nothing_are_named() -> None:
         certify_map([(E, affine(np.zeros((3, 3))))], TriMesh(whole.vertices, whole.faces[:0]))
     with pytest.raises(InputError, match=r"shape \(0, 3\)"):
         certify_map([], np.zeros((0, 3)))
+    with pytest.raises(InputError, match="_Unbounded gives no displacement_bounds"):
+        certify_map([(E, _Unbounded())] * 2, BODY)  # type: ignore[list-item]
     with pytest.raises(InputError, match="margin_share"):
         certify_map([], BODY, margin_share=1.0)
 

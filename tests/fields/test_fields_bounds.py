@@ -255,7 +255,7 @@ def test_isochoric_r3_strains_by_six_times_its_weight() -> None:
     np.testing.assert_allclose(ranges, [[-0.6, 0.6]], rtol=0.01, atol=0)
 
 
-@pytest.mark.parametrize("name", [name for name in KERNELS if name != "r2logr"])
+@pytest.mark.parametrize("name", KERNELS)
 def test_no_derivative_of_a_kernel_exceeds_its_majorant(name: str) -> None:
     """N1 to N4 against differences of one source's gradient along random directions, in extended precision."""
     rng = np.random.default_rng(17)
@@ -283,6 +283,8 @@ def test_no_derivative_of_a_kernel_exceeds_its_majorant(name: str) -> None:
             for order, stencil in enumerate(stencils):
                 if order == 3 and not kernel.isochoric and table.shape[1] > 1:
                     continue  # not tabulated
+                if name == "r2logr" and order < 2:
+                    continue  # no power of the distance
                 if kernel.compact and abs(r - 1.0) < 0.1:
                     continue
                 matrix = np.asarray(np.tensordot(stencil, gradients, axes=1) / h**order, dtype=np.float64)
@@ -292,13 +294,14 @@ def test_no_derivative_of_a_kernel_exceeds_its_majorant(name: str) -> None:
                     cell = min(int(r / EXTENTS[kernel.code] * (table.shape[1] - 1)), table.shape[1] - 1)
                     bounds = table[order, cell], table[4 + order, cell]
                 else:
-                    power = {0: 0, 2: 2, 20: 0, 21: 0, 22: 2}[kernel.code] - order
+                    power = {0: 0, 1: 1, 2: 2, 20: 0, 21: 0, 22: 2}[kernel.code] - order
                     bounds = table[order, 0] * rho**power, table[4 + order, 0] * rho**power
                 assert sizes[0] <= bounds[0] * (1 + 1e-6) + 1e-12, (order, r)
                 assert sizes[1] <= bounds[1] * (1 + 1e-6) + 1e-12, (order, r)
                 largest[order] = max(largest[order], sizes[0] / max(bounds[0], 1e-300))
-    used = 3 if not kernel.isochoric and table.shape[1] > 1 else 4
-    assert np.all(largest[:used] > 0.5)  # and the majorants are worth something
+    first = 2 if name == "r2logr" else 0
+    last = 3 if not kernel.isochoric and table.shape[1] > 1 else 4
+    assert np.all(largest[first:last] > 0.5)  # and the majorants are worth something
 
 
 def test_eigenvalue_floor_is_below_and_close() -> None:

@@ -78,9 +78,7 @@ def displacement_bounds(field: RadialField, centres: Points, half_widths: Float)
     code, isochoric, scale, _, table, _, sources, weights, sizes, _ = boxes.field
     summed, errors = np.empty_like(boxes.local), np.empty(len(centres))
     slope = table[4].max() / (scale if code in EXTENTS else 1.0)
-    value_bounds.values(
-        code, boxes.field[1], scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors
-    )
+    value_bounds.values(code, isochoric, scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
     affine = field.translation + (centres - field.origin) @ field.linear.T
     values: Points = affine + summed[:, :n]
     parts = (

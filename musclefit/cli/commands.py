@@ -30,6 +30,9 @@ PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
 DEMO_RIG = "upper_limb"
 
+TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks")
+"""Findings that are printed before the long work; the report lists them all."""
+
 app = App(
     name="musclefit",
     help="Foldover-free retargeting of layered musculoskeletal models, with a report that proves it.",
@@ -198,6 +201,9 @@ def _run(rig: Path, overrides: Sequence[str], *, out: Path, no_tets: bool, quiet
     check_writable(out)
     with TimedStages(shown=not quiet) as stages:
         job = read_rig(rig, overrides=overrides, progress=stages)
+        for finding in job.findings:
+            if finding.code in TOLD_BEFORE:
+                stages.say(finding.message)
         from musclefit.io.runs import prepared_tets, save
         from musclefit.pipeline.retarget import retarget
 

@@ -19,6 +19,7 @@ class TimedStages:
 
     def __init__(self, *, shown: bool) -> None:
         self.seconds: dict[str, float] = {}
+        self._shown = shown
         self._bars = Bars(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -38,6 +39,11 @@ class TimedStages:
 
     def __exit__(self, *_: object) -> None:
         self._bars.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the bars, on standard error, unless told to be quiet."""
+        if self._shown:
+            self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Tick]:

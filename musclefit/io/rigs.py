@@ -23,6 +23,7 @@ from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import (
     Job,
+    cage_crossings,
     cage_handles,
     check_handles,
     joint_findings,
@@ -31,7 +32,7 @@ from musclefit.rig.job import (
     require_bones,
 )
 from musclefit.rig.joints import JointMotions, parse_joints
-from musclefit.rig.model import CageDrive, Drive, JointDrive, LandmarkDrive, Rig, Unit
+from musclefit.rig.model import CageCrossings, CageDrive, Drive, JointDrive, LandmarkDrive, Rig, Unit
 from musclefit.rig.section import suggestion
 from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table import apply_overrides, parse_rig
@@ -192,12 +193,24 @@ def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
 
 
 def _read_cages(drive: CageDrive, files: NamedFiles) -> _Pairs:
-    source, source_findings = _cage(drive.source, files, key="drive.source", units=drive.units)
-    target, target_findings = _cage(drive.target, files, key="drive.target", units=drive.units)
+    source, findings = _cage(drive.source, files, key="drive.source", units=drive.units)
+    target, more = _cage(drive.target, files, key="drive.target", units=drive.units)
     try:
-        return _Pairs(*cage_handles(source, target), (*source_findings, *target_findings))
+        pairs = cage_handles(source, target)
     except MeshError as error:
         raise files.named("drive.target", error) from None
+    crossings = [
+        found
+        for path, cage in ((drive.source, source), (drive.target, target))
+        for found in cage_crossings(cage, name=Path(path).stem)
+    ]
+    if crossings and drive.crossings is CageCrossings.REFUSE:
+        raise MeshError(
+            f"{files.rig}: drive: {len(crossings)} pairs of triangles of the cages cross (numbers from 0): "
+            f"{'; '.join(found.message for found in crossings)}. Correct the cages, or go on all the same with "
+            f'drive.crossings = "{CageCrossings.ACCEPT}"'
+        )
+    return _Pairs(*pairs, (*findings, *more, *crossings))
 
 
 def _landmarks(path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive) -> LandmarkTable:

@@ -12,6 +12,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, StraightPath
 from musclefit.rig.joints import JointSystem
@@ -136,6 +137,24 @@ def cage_handles(source: TriMesh, target: TriMesh) -> tuple[Handles, Points]:
         )
     names = tuple(f"cage_{k}" for k in range(counts[0]))
     return Handles(names, source.vertices, ("",) * counts[0]), target.vertices
+
+
+def cage_crossings(cage: TriMesh, *, name: str) -> tuple[Finding, ...]:
+    """One finding ("cage-crossing") for each pair of triangles of a cage that cross: their numbers, corners and place.
+
+    Nothing about vertex pairs needs a cage without crossings, but where it crosses itself two parts of the body are
+    sent into each other, and the map cannot follow the cage's surface there.
+    """
+    found = self_crossings(cage)
+    return tuple(
+        Finding(
+            name,
+            "cage-crossing",
+            f"{name}: triangles {a} {cage.faces[a].tolist()} and {b} {cage.faces[b].tolist()} cross near "
+            f"({_place(place)}) mm",
+        )
+        for (a, b), place in zip(found.pairs.tolist(), found.places, strict=True)
+    )
 
 
 def check_handles(handles: Handles, path: Path, anatomy: Anatomy) -> None:

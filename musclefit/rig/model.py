@@ -75,6 +75,13 @@ class PathKind(StrEnum):
     JOINTS = "joints"
 
 
+class CageCrossings(StrEnum):
+    """What to do with a cage whose triangles cross each other."""
+
+    REFUSE = "refuse"
+    ACCEPT = "accept"
+
+
 @dataclass(frozen=True, slots=True)
 class AnatomySource:
     """Where the tissues come from: ``builtin`` names a generated anatomy, else a folder or files.
@@ -147,11 +154,12 @@ class JointDrive:
 
 @dataclass(frozen=True, slots=True)
 class CageDrive:
-    """Vertex pairs of two meshes with the same triangles."""
+    """Vertex pairs of two meshes with the same triangles; ``crossings`` says whether they may cross themselves."""
 
     source: str
     target: str
     units: Unit = Unit.MILLIMETRE
+    crossings: CageCrossings = CageCrossings.REFUSE
 
 
 Drive = LandmarkDrive | JointDrive | CageDrive

@@ -558,7 +558,7 @@ def test_rigs_are_found_by_name_and_by_path(folder: Path, monkeypatch: pytest.Mo
     assert find_rig("joint.toml") == Path("joint.toml")
     with pytest.raises(RigError, match=r"^no rig is named 'forarm'; did you mean 'forearm'\? known: .*upper_limb"):
         find_rig("forarm")
-    with pytest.raises(RigError, match=r"^here/rig.toml: no such rig file; .*built-in rig: forearm, .*upper_limb"):
+    with pytest.raises(RigError, match=r"^here/rig.toml: no such rig file; .*built-in rig: .*forearm, .*upper_limb"):
         find_rig("here/rig.toml")
 
 

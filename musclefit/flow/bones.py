@@ -79,16 +79,8 @@ def rigid_groups(
     sampled_mm : float
         No edge of the groups' surfaces is longer.
     """
-    samples = [motions.at(float(t)) for t in np.linspace(0.0, 1.0, PATH_SAMPLES)]
-    together: list[list[str]] = []
-    for bone in (t.name for t in anatomy if t.name in samples[-1]):
-        for group in together:
-            if all(_same(sample[bone], sample[group[0]]) for sample in samples):
-                group.append(bone)
-                break
-        else:
-            together.append([bone])
-    whole = [_group(anatomy, bones, sampled_mm) for bones in together]
+    samples = poses_on_the_way(motions)
+    whole = [_group(anatomy, bones, sampled_mm) for bones in moving_together(anatomy, samples)]
     contact = [group.contact.copy() for group in whole]
     for sample in samples:
         surfaces = [group.at(sample) for group in whole]
@@ -96,6 +88,24 @@ def rigid_groups(
             for other in (s for j, s in enumerate(surfaces) if j != k):
                 contact[k] |= _closer(surface.vertices, other, contact_zone_mm)
     return tuple(replace(group, contact=where) for group, where in zip(whole, contact, strict=True))
+
+
+def poses_on_the_way(motions: BoneMotions) -> tuple[Mapping[str, RigidMotion], ...]:
+    """Where every bone stands at ``PATH_SAMPLES`` places along the path, both ends included."""
+    return tuple(motions.at(float(t)) for t in np.linspace(0.0, 1.0, PATH_SAMPLES))
+
+
+def moving_together(anatomy: Anatomy, poses: Sequence[Mapping[str, RigidMotion]]) -> tuple[tuple[str, ...], ...]:
+    """The anatomy's bones that the poses know, those of one motion in one group."""
+    together: list[list[str]] = []
+    for bone in (t.name for t in anatomy if t.name in poses[-1]):
+        for group in together:
+            if all(_same(pose[bone], pose[group[0]]) for pose in poses):
+                group.append(bone)
+                break
+        else:
+            together.append([bone])
+    return tuple(tuple(group) for group in together)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -223,7 +233,7 @@ def contact_residuals(groups: Sequence[RigidGroup], deformation: Deformation, mo
     return worst
 
 
-def _group(anatomy: Anatomy, bones: list[str], sampled_mm: float) -> RigidGroup:
+def _group(anatomy: Anatomy, bones: Sequence[str], sampled_mm: float) -> RigidGroup:
     surfaces = [anatomy[bone].surface for bone in bones]
     offsets = np.cumsum([0, *(len(s.vertices) for s in surfaces[:-1])])
     surface = TriMesh(

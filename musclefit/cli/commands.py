@@ -16,6 +16,7 @@ from rich.console import Console
 
 import musclefit
 from musclefit.anatomy.model import TissueKind
+from musclefit.cli.cage import cage
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.progress import TimedStages
 from musclefit.cli.summary import print_inspection, print_run
@@ -158,6 +159,7 @@ def check(
 
 app.command(warp_image, name="warp-image", sort_key=4)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
+app.command(cage, sort_key=6)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,26 @@
+"""The command that makes a cage: a file that a rig can use, and refusals that write nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tiny_rigs import egg
+
+from musclefit.cli import main
+from musclefit.io.outputs import ply_bytes
+from musclefit.io.surfaces import read_surface
+
+
+def test_a_cage_is_written_and_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    skin, out = tmp_path / "skin.ply", tmp_path / "made" / "cage.ply"
+    skin.write_bytes(ply_bytes(egg((0.0, 0.0, 0.0), (50.0, 30.0, 20.0), subdivisions=3)))
+    assert main(["cage", str(skin), str(out), "--vertices", "60"]) == 0
+    assert len(read_surface(out).vertices) == 60
+    said = capsys.readouterr().out
+    assert said.startswith(f"wrote {out}: 60 vertices, 116 triangles, closed, none cross; edges ")
+    assert main(["cage", str(skin), str(tmp_path / "cage.stl")]) == 2
+    assert "name a file that ends in .ply" in capsys.readouterr().err
+    assert main(["cage", str(skin), str(tmp_path / "c.ply"), "--vertices", "9000"]) == 2
+    assert "a cage of 9000 vertices is asked for" in capsys.readouterr().err
+    assert not (tmp_path / "c.ply").exists()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from musclefit.geometry.arrays import Int, Points
 from musclefit.rig.model import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.validate.model import MapClaim, MeshClaim
 
 Place = tuple[float, ...]
 """Coordinates of a point, mm."""
@@ -101,3 +102,40 @@ class MapCertificate:
     max_boxes: int
     steps: tuple[StepCertificate, ...]
     fold: tuple[Fold, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MeshCertificate:
+    """Do no two tets of a mesh share volume? See `musclefit.certify.meshes` for the theorem.
+
+    Parameters
+    ----------
+    claim : MeshClaim
+    tets, boundary_faces : int
+        What was examined.
+    sheets : int
+        Parts of the boundary whose outside was found to be empty of tets; 0 where it did not come to that.
+    inverted, flat : int
+        Tets of negative volume, and of exactly none.
+    crossings : int
+        Pairs of boundary triangles that cross or touch, other than at common corners and edges.
+    failing : (i,) int64
+        Numbers of the inverted and flat tets.
+    crossing_tets : (c, 2) int64
+        The tets behind each crossing pair.
+    crossing_places : (c, 3) float64, mm
+    note : str
+        Why it is not certified.
+    """
+
+    claim: MeshClaim
+    tets: int
+    boundary_faces: int
+    sheets: int
+    inverted: int
+    flat: int
+    crossings: int
+    failing: Int
+    crossing_tets: Int
+    crossing_places: Points
+    note: str = ""

@@ -20,6 +20,7 @@ class MeshClaim(StrEnum):
 
     CERTIFIED = "certified"
     SAMPLED = "sampled"
+    UNDECIDED = "undecided"
     REFUTED = "refuted"
 
 

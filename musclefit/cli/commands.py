@@ -31,7 +31,7 @@ PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
 DEMO_RIG = "upper_limb"
 
-TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks")
+TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks", "averaged-frames", "points-outside-skin")
 """Findings that are printed before the long work; the report lists them all."""
 
 app = App(

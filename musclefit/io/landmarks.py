@@ -1,4 +1,4 @@
-"""Landmark files (CSV, Slicer markups) -> named points in mm; knows headings and frames, not bones or fields."""
+"""Landmark files (CSV, Slicer markups, .trc) -> named points in mm; knows headings and frames, not bones or fields."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from musclefit.anatomy.findings import Finding
 from musclefit.errors import InputError, LandmarkError
 from musclefit.geometry.arrays import Points, frozen
 from musclefit.io.rows import PositionColumns, Rows, csv_lines
+from musclefit.io.trc import read_trajectories
 from musclefit.rig.model import Unit
 
 COINCIDENT_MM = 1e-9
 """Two landmarks of a file closer than this are one position written twice, mm; `rig.job` asks more of handles."""
 
-_ENDINGS = ".csv, .fcsv and .mrk.json"
+_ENDINGS = ".csv, .fcsv, .mrk.json and .trc"
 _FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 _FCSV_SYSTEMS = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 
@@ -91,14 +92,15 @@ def _distinct(points: Points, table: LandmarkTable, verb: str) -> Points:
 def read_landmarks(
     path: str | Path, *, units: Unit = Unit.MILLIMETRE, source_prefix: str = "", target_prefix: str = "target_"
 ) -> LandmarkTable:
-    """Read a CSV (``.csv``) or Slicer markups (``.fcsv``, ``.mrk.json``).
+    """Read a CSV (``.csv``), Slicer markups (``.fcsv``, ``.mrk.json``) or the markers of a ``.trc``.
 
     Parameters
     ----------
     path : path
         A CSV has the columns ``name``, ``x_mm``, ``y_mm``, ``z_mm`` (or ``x_cm`` .., ``x_m`` .., ``x`` ..), and may
         have ``bone`` and the targets ``target_x_mm`` ..; other columns are passed over. Columns are parted by comma,
-        semicolon or tab. Slicer's positions stay in the frame that the file states.
+        semicolon or tab. Slicer's positions stay in the frame that the file states. The markers of a .trc stand at
+        their means over all frames; a finding ("averaged-frames") says how far they move.
     units : Unit
         Length unit where the file states none.
     source_prefix, target_prefix : str
@@ -113,7 +115,7 @@ def read_landmarks(
     """
     path = Path(path)
     name = path.name.lower()
-    if not name.endswith((".csv", ".fcsv", ".mrk.json")):
+    if not name.endswith((".csv", ".fcsv", ".mrk.json", ".trc")):
         raise InputError(f"{path}: landmarks are read from {_ENDINGS} files; correct the path or rename the file")
     try:
         text = path.read_bytes().decode("utf-8-sig")
@@ -127,6 +129,8 @@ def read_landmarks(
         return _from_markups(text, path, units=units)
     if name.endswith(".fcsv"):
         return _from_fcsv(text, path, units=units)
+    if name.endswith(".trc"):
+        return _from_trc(text, path, units=units)
     rows = Rows.of_csv(text, path)
     positions, targets = PositionColumns.find(rows, source_prefix, units), None
     if positions is None:
@@ -262,6 +266,25 @@ def _from_markups(text: str, path: Path, *, units: Unit) -> LandmarkTable:
         targets=None,
         coordinate_system=system,
         path=path,
+    )
+
+
+def _from_trc(text: str, path: Path, *, units: Unit) -> LandmarkTable:
+    read = read_trajectories(text, str(path), units=units)
+    marker, motion = read.largest_motion()
+    frames = len(read.positions)
+    message = (
+        f"{path.name}: {frames} frames were averaged; the marker that moves most, {marker!r}, is {motion:.3g} mm from "
+        "its mean at most"
+    )
+    return LandmarkTable(
+        names=read.names,
+        positions=read.mean(),
+        bones=("",) * len(read.names),
+        targets=None,
+        coordinate_system="",
+        path=path,
+        findings=(Finding(path.name, "averaged-frames", message),) if frames > 1 else (),
     )
 
 

@@ -191,7 +191,7 @@ def test_fcsv_without_a_line_of_columns_has_the_usual_ones(write):
 
 
 def test_other_files_are_refused(write, tmp_path):
-    with pytest.raises(InputError, match=r"landmarks are read from .csv, .fcsv and .mrk.json files"):
+    with pytest.raises(InputError, match=r"landmarks are read from .csv, .fcsv, .mrk.json and .trc files"):
         read_landmarks(write("{}", "a.json"))
     with pytest.raises(InputError, match=r"gone.csv: cannot be read \(No such file or directory\)"):
         read_landmarks(tmp_path / "gone.csv")

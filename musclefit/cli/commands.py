@@ -93,6 +93,14 @@ def run(
             help="key=value: replace one value of the rig file, such as deformer.kernel=r3. May be given again.",
         ),
     ] = (),
+    points: Annotated[
+        tuple[Path, ...],
+        Parameter(
+            name="--points",
+            help="A file of further points to take along (CSV, .fcsv, .mrk.json, .trc, .ply, .stl, .obj, .vtp, .vtu), "
+            "written to points/ in the same format. May be given again.",
+        ),
+    ] = (),
     no_tets: NoTets = False,
     quiet: Quiet = False,
     json: Json = False,
@@ -101,7 +109,7 @@ def run(
     path = find_rig(rig)
     overrides = (*set, *([f"deformer.backend={backend}"] if backend else []))
     folder = out if out is not None else Path("musclefit-out") / path.stem
-    return _run(path, overrides, out=folder, no_tets=no_tets, quiet=quiet, json=json)
+    return _run(path, overrides, out=folder, points=points, no_tets=no_tets, quiet=quiet, json=json)
 
 
 @app.command(sort_key=3)
@@ -196,13 +204,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return result if isinstance(result, int) else PASSED
 
 
-def _run(rig: Path, overrides: Sequence[str], *, out: Path, no_tets: bool, quiet: bool, json: bool) -> int:
+def _run(
+    rig: Path,
+    overrides: Sequence[str],
+    *,
+    out: Path,
+    points: Sequence[Path] = (),
+    no_tets: bool,
+    quiet: bool,
+    json: bool,
+) -> int:
     from musclefit.io.outputs import check_writable
     from musclefit.io.rigs import read_rig
 
     check_writable(out)
     with TimedStages(shown=not quiet) as stages:
-        job = read_rig(rig, overrides=overrides, progress=stages)
+        job = read_rig(rig, overrides=overrides, points=points, progress=stages)
         for finding in job.findings:
             if finding.code in TOLD_BEFORE:
                 stages.say(finding.message)

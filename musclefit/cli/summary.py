@@ -52,7 +52,7 @@ def print_inspection(report: MeshReport, *, folder: Path | None) -> None:
 
 
 def _said_written(folder: Path) -> Text:
-    known = ("report.html", "report.json", "surfaces", "tets.vtu", "pictures")
+    known = ("report.html", "report.json", "surfaces", "tets.vtu", "pictures", "points")
     return Text(f"written to {folder}: {', '.join(name for name in known if (folder / name).exists())}")
 
 

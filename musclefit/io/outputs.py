@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
     from musclefit.anatomy.tetrahedra import TetAnatomy
 
 REPORT_JSON, REPORT_HTML = "report.json", "report.html"
-SURFACES, PICTURES, TETS = "surfaces", "pictures", "tets.vtu"
+SURFACES, PICTURES, TETS, POINTS = "surfaces", "pictures", "tets.vtu", "points"
 
+_NO_POINTS: Mapping[str, Callable[[Path], None]] = MappingProxyType({})
 _NAME_BYTES = 100
 """Longest file name made of a tissue's, without its ending; file systems end at 255 bytes."""
 _SOLID = 3
@@ -90,8 +92,9 @@ def write_run(
     tets: DeformedTets | None,
     pictures: Mapping[str, bytes],
     pictures_problem: str = "",
+    points: Mapping[str, Callable[[Path], None]] = _NO_POINTS,
 ) -> tuple[Path, ...]:
-    """Write one run: report, page, deformed surfaces, tetrahedra, pictures.
+    """Write one run: report, page, deformed surfaces, tetrahedra, pictures, further points.
 
     Everything is made in a folder beside the target, which then takes its place; a failure leaves what was there.
 
@@ -106,6 +109,8 @@ def write_run(
     pictures : mapping of caption to PNG bytes
     pictures_problem : str
         Why there are no pictures.
+    points : mapping of file name to callable
+        Further files, each written to the path that it is given.
 
     Returns
     -------
@@ -134,6 +139,10 @@ def write_run(
             (build / PICTURES).mkdir()
         for safe, png in zip(captions.values(), pictures.values(), strict=True):
             (build / PICTURES / f"{safe}.png").write_bytes(png)
+        if points:
+            (build / POINTS).mkdir()
+        for name, write in points.items():
+            write(build / POINTS / name)
         page = render_html(report, pictures=pictures, pictures_problem=pictures_problem)
         (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 

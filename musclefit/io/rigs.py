@@ -15,6 +15,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.landmarks import LandmarkTable, paired, read_landmarks
 from musclefit.io.named_files import NamedFiles
+from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.io.surfaces import read_anatomy, read_surface
 from musclefit.io.tables import parse_table, parse_toml
@@ -22,6 +23,7 @@ from musclefit.progress import Progress, Silent
 from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import (
+    FurtherPoints,
     Job,
     cage_crossings,
     cage_handles,
@@ -42,7 +44,13 @@ __all__ = ["builtin_rig_path", "builtin_rigs", "find_rig", "read_rig"]
 _SILENT = Silent()
 
 
-def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progress = _SILENT) -> Job:
+def read_rig(
+    path: str | Path,
+    *,
+    overrides: Sequence[str] = (),
+    points: Sequence[Path] = (),
+    progress: Progress = _SILENT,
+) -> Job:
     """Read a rig file and every file it names.
 
     Cheap things are read and checked first: the rig, the joints and the pose, the landmarks; then the anatomy.
@@ -55,6 +63,8 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
         from the rig's folder.
     overrides : sequence of str
         ``key=value`` each; see `musclefit.rig.table.apply_overrides`.
+    points : sequence of path
+        Further files of points to take along, beside those of the rig; they start at the current folder.
     progress : Progress
         Told of reading the anatomy.
 
@@ -77,6 +87,7 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
     if overrides:
         table = apply_overrides(table, overrides, source=str(rig_path))
     rig = _resolved(parse_rig(table, source=str(rig_path)), files)
+    further = _read_further(rig, points, files)
     driver = _read_driver(rig, files)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
     motions = None
@@ -85,6 +96,7 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
         _require_bones(anatomy, driver, files)
         findings += joint_findings(anatomy, motions.joints, subject=rig_path.name)
     findings += (*driver.findings, *_frame_findings(anatomy, driver.frame, files))
+    findings += outside_findings(further, anatomy)
     handles, handle_path = _driven(rig, anatomy, driver=driver, files=files)
     return Job(
         rig=rig,
@@ -98,6 +110,7 @@ def read_rig(path: str | Path, *, overrides: Sequence[str] = (), progress: Progr
         source=str(rig_path),
         joints=motions.joints if motions else None,
         overrides=tuple(overrides),
+        further=further,
     )
 
 
@@ -107,7 +120,24 @@ def _resolved(rig: Rig, files: NamedFiles) -> Rig:
     if anatomy.folder:
         anatomy = replace(anatomy, folder=files.find(anatomy.folder, key="anatomy.folder"))
     surfaces = tuple(files.find(file, key="anatomy.files") for file in anatomy.files)
-    return replace(rig, anatomy=replace(anatomy, files=surfaces), drive=_resolved_drive(rig.drive, files))
+    points = tuple(files.find(file, key="anatomy.points") for file in anatomy.points)
+    anatomy = replace(anatomy, files=surfaces, points=points)
+    return replace(rig, anatomy=anatomy, drive=_resolved_drive(rig.drive, files))
+
+
+def _read_further(rig: Rig, given: Sequence[Path], files: NamedFiles) -> tuple[FurtherPoints, ...]:
+    """The further points, read; the files' names must differ, since they are written side by side."""
+    found: dict[str, FurtherPoints] = {}
+    for path in (*(Path(written) for written in rig.anatomy.points), *given):
+        try:
+            files.read(path, key="anatomy.points")
+            read = read_points(path, units=rig.anatomy.units)
+            if read.name in found:
+                raise InputError(f"{path}: two files of points are named {read.name!r}; rename one")
+        except InputError as error:
+            raise files.named("anatomy.points", error) from None
+        found[read.name] = read
+    return tuple(found.values())
 
 
 def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:

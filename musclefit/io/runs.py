@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from musclefit.anatomy.tetrahedra import TetAnatomy
@@ -15,7 +16,7 @@ from musclefit.io.tet_cache import TetCache, default_cache_folder
 from musclefit.pipeline.retarget import Outcome, Retargeting
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
-from musclefit.rig.job import Job
+from musclefit.rig.job import FurtherPoints, Job
 
 
 def prepared_tets(job: Job, *, progress: Progress | None = None) -> TetAnatomy | None:
@@ -79,8 +80,14 @@ def save(
         tets=None if result.tets is None or vertices is None else DeformedTets(result.tets, vertices),
         pictures=drawn.pictures,
         pictures_problem=drawn.problem,
+        points={file.name: partial(_moved_points, file, result) for file in result.job.further},
     )
     return report
+
+
+def _moved_points(file: FurtherPoints, result: Retargeting, path: Path) -> None:
+    """Write a file of further points where the result's map takes them."""
+    file.rewrite(result.result.deformation(file.points), path)
 
 
 def _marks(outcome: Outcome) -> Marks:

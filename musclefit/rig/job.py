@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -27,6 +28,24 @@ FAR_DIAGONALS = 1.0
 
 SMALL_DIAGONALS = 1.0 / 300.0
 """Three or more handles that span less than this many diagonals are taken for metres read as millimetres."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FurtherPoints:
+    """Points of a file that the deformation takes along.
+
+    Parameters
+    ----------
+    name : str
+        The file's name.
+    points : (k, 3) float64, mm
+    rewrite : callable
+        Writes the file with its points moved, (k, 3) mm, to a path; all else in it stays.
+    """
+
+    name: str
+    points: Points
+    rewrite: Callable[[Points, FilePath], None]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,6 +75,8 @@ class Job:
         For other poses of the same bones; None where no joint drives.
     overrides : tuple of str
         The ``key=value`` that changed the rig file's settings.
+    further : tuple of FurtherPoints
+        Files whose points go where the map takes them.
     """
 
     rig: Rig
@@ -69,6 +90,7 @@ class Job:
     source: str
     joints: JointSystem | None = None
     overrides: tuple[str, ...] = ()
+    further: tuple[FurtherPoints, ...] = ()
 
 
 def path_by_pairs(handles: Handles, target: Points) -> StraightPath:

@@ -87,7 +87,8 @@ class AnatomySource:
     """Where the tissues come from: ``builtin`` names a generated anatomy, else a folder or files.
 
     ``kinds`` maps tissue names (or shell-style patterns) to kinds, ahead of what the file names say; the first
-    pattern that fits counts. ``units`` is the length unit of the files.
+    pattern that fits counts. ``units`` is the length unit of the files. ``points`` are further files whose points the
+    deformation takes along: landmarks, markers, meshes.
 
     Raises
     ------
@@ -101,6 +102,7 @@ class AnatomySource:
     units: Unit = Unit.MILLIMETRE
     frame: str = "as in the files"
     kinds: tuple[tuple[str, TissueKind], ...] = ()
+    points: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         given = [key for key in ("builtin", "folder", "files") if getattr(self, key)]

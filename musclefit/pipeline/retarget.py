@@ -150,6 +150,20 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     )
 
 
+def outcome_of(job: Job, *, rest: SolidAnatomy, progress: Progress) -> Outcome:
+    """The job's method alone, checked as `retarget` does, without baseline and tetrahedra.
+
+    Parameters
+    ----------
+    job : Job
+    rest : SolidAnatomy
+        The job's anatomy, prepared once for many poses.
+    """
+    finish = _Finisher(job, rest, None, progress)
+    moved = deform(job, job.anatomy.vertices(), progress=progress)
+    return finish(moved, method=method_in_words(job), stage="check result")
+
+
 @dataclass(frozen=True, slots=True)
 class _Finisher:
     """Moves the tissues by a deformation and measures everything the report needs."""

@@ -50,6 +50,11 @@ def to_json(report: Report | MeshReport) -> Json:
     }
 
 
+def side_to_json(side: Side, limits: Limits) -> Json:
+    """One method's outcome as JSON values: the keys of ``report_schema`` that tell of the result."""
+    return _side(side, limits)
+
+
 def _inspection(report: MeshReport) -> Json:
     return {
         "schema_version": SCHEMA_VERSION,

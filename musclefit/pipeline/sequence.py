@@ -1,0 +1,161 @@
+"""A motion frame by frame: a job and poses in, frames out; every frame is made from rest, none from another frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from musclefit.anatomy.model import Anatomy
+from musclefit.errors import InputError, MusclefitError
+from musclefit.geometry.sections import Sections
+from musclefit.pipeline.retarget import outcome_of
+from musclefit.progress import Progress, Silent
+from musclefit.report.model import Side
+from musclefit.rig.job import Job, path_by_joints
+from musclefit.rig.joints import JointSystem
+from musclefit.rig.model import JointDrive
+from musclefit.rig.motion import Pose
+from musclefit.validate.bones import BoneCollision, first_collision
+from musclefit.validate.muscles import MuscleMeasures, measure_muscles, muscle_sections
+from musclefit.validate.overlaps import SolidAnatomy, solid_anatomy
+
+COLLISION_DEG = 7.5
+"""Bones are tested for running into each other whenever a joint has turned this far on the way from rest to a pose."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Frame:
+    """One pose of a sequence.
+
+    Parameters
+    ----------
+    pose : Pose
+    anatomy : Anatomy or None
+        The given triangles in the pose; None where there is no such frame.
+    side : Side or None
+        What was measured, as in the report of a single run.
+    muscles : tuple of MuscleMeasures
+    collision : BoneCollision or None
+        The bones that run into each other on the way to the pose, which is refused.
+    problem : str
+        Why there is no frame, in words; "" where there is one.
+    """
+
+    pose: Pose
+    anatomy: Anatomy | None
+    side: Side | None
+    muscles: tuple[MuscleMeasures, ...]
+    collision: BoneCollision | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stage:
+    """What all frames of a job share, prepared once.
+
+    Parameters
+    ----------
+    job : Job
+        Driven by joints; its own pose plays no part.
+    joints : JointSystem
+    rest : SolidAnatomy
+    sections : mapping of muscle name to Sections
+    """
+
+    job: Job
+    joints: JointSystem
+    rest: SolidAnatomy
+    sections: Mapping[str, Sections]
+
+    @classmethod
+    def of(cls, job: Job, *, progress: Progress | None = None) -> Stage:
+        """Prepare a job for its frames.
+
+        Raises
+        ------
+        InputError
+            No joint drives it.
+        """
+        if job.joints is None:
+            raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
+        progress = progress or Silent()
+        return cls(job, job.joints, solid_anatomy(job.anatomy, progress=progress), muscle_sections(job.anatomy))
+
+    def frame(self, pose: Pose, *, progress: Progress | None = None) -> Frame:
+        """The anatomy in a pose, made from rest along the joints alone.
+
+        A pose that the bones cannot take, and one that the method cannot reach, is a frame without anatomy that says
+        why; so the other frames of a motion go on.
+        """
+        posed = posed_job(self.job, pose)
+        collision = collision_on_the_way(posed, pose)
+        if collision is not None:
+            return Frame(pose, None, None, (), collision, collision_in_words(collision, pose))
+        try:
+            outcome = outcome_of(posed, rest=self.rest, progress=progress or Silent())
+        except MusclefitError as error:
+            return Frame(pose, None, None, (), None, str(error))
+        muscles = measure_muscles(solid_anatomy(outcome.deformed, progress=Silent()), sections=self.sections)
+        return Frame(pose, given_triangles(self.job.anatomy, outcome.deformed), outcome.side, muscles)
+
+
+def frames(job: Job, poses: Sequence[Pose], *, progress: Progress | None = None) -> Iterator[Frame]:
+    """The frames of a motion, one after the other, in this process.
+
+    Raises
+    ------
+    InputError
+        No joint drives the job.
+    RigError
+        A pose of a joint that does not exist or beyond its limits; raised before the first frame.
+    """
+    stage = Stage.of(job, progress=progress)
+    for pose in poses:
+        stage.joints.check_pose(pose.angles)
+    return (stage.frame(pose, progress=progress) for pose in poses)
+
+
+def posed_job(job: Job, pose: Pose) -> Job:
+    """The same job sent to another pose.
+
+    Raises
+    ------
+    InputError
+        No joint drives it, or the pose is none of its joints'.
+    """
+    if job.joints is None or not isinstance(job.rig.drive, JointDrive):
+        raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
+    motions = job.joints.along(pose.angles)
+    return replace(
+        job,
+        rig=replace(job.rig, drive=replace(job.rig.drive, pose=pose.degrees)),
+        motions=motions,
+        path=path_by_joints(job.handles, motions, kind=job.rig.deformer.path),
+    )
+
+
+def collision_on_the_way(job: Job, pose: Pose) -> BoneCollision | None:
+    """The first bones that run into each other between rest and the pose, tested every ``COLLISION_DEG``."""
+    assert job.motions is not None  # a posed job is driven by joints
+    count = max(1, math.ceil(max(abs(angle) for _, angle in pose.degrees) / COLLISION_DEG))
+    fractions = [k / count for k in range(1, count + 1)]
+    return first_collision(job.anatomy, [(at, job.motions.at(at)) for at in fractions])
+
+
+def collision_in_words(found: BoneCollision, pose: Pose) -> str:
+    """Bones, time, place on the way and depth."""
+    where = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in pose.degrees)
+    return (
+        f"frame {pose.number} at {pose.said} is refused: bones {found.a!r} and {found.b!r} run into each other at "
+        f"{where}: they share {found.volume_mm3:.3g} mm³, {found.depth_mm:.2g} mm deep"
+    )
+
+
+def given_triangles(rest: Anatomy, deformed: Anatomy) -> Anatomy:
+    """The tissues of ``deformed`` on the triangles of ``rest``: given vertices come first where surfaces were split."""
+    return rest.with_vertices(
+        np.concatenate([deformed[t.name].surface.vertices[: len(t.surface.vertices)] for t in rest])
+    )

@@ -13,7 +13,6 @@ from tiny_rigs import egg, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.errors import InputError
-from musclefit.geometry.meshes import TriMesh
 from musclefit.io.outputs import ply_bytes
 from musclefit.io.point_files import read_points
 from musclefit.io.rigs import read_rig
@@ -112,10 +111,6 @@ def test_slips_are_named(tmp_path: Path, name: str, text: str, said: str) -> Non
 
 def test_a_run_takes_points_where_its_map_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = write_tiny_rig(tmp_path)
-    landmarks = tmp_path / "landmarks.csv"
-    text = landmarks.read_text()
-    far = "far,,9999,0,0\n" if "bone" in text.splitlines()[0] else ""
-    assert isinstance(far, str)
     (tmp_path / "path.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n9999,0,0\n")
     out = tmp_path / "out"
     code = main(["run", str(rig), "--out", str(out), "--points", str(tmp_path / "path.csv"), "--no-tets"])
@@ -137,4 +132,3 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path) -> None:
         (folder / "p.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
     with pytest.raises(InputError, match=r"anatomy.points: .*two files of points are named 'p.csv'"):
         read_rig(rig, points=[tmp_path / "p.csv", tmp_path / "other" / "p.csv"])
-    assert TriMesh is not None

@@ -7,7 +7,8 @@ An *isochoric* kernel is the divergence-free matrix K(x) = a(r) I + b(r) x x^T t
 
 .. math:: K = -(\Delta I - \nabla\nabla^T) \psi = -(\psi'' + \psi'/r)\, I + (\psi'' - \psi'/r)\, \hat x \hat x^T
 
-Signs are chosen so that every kernel is (conditionally) positive definite. The formulas stand in `loops`.
+Signs are chosen so that every kernel is (conditionally) positive definite. The formulas stand in `loops`
+and, for those in lanes, in `lane_sums`.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class RadialKernel:
     compact: bool = False
     smooth_at_centre: bool = True
     scaled: bool = False
+    in_lanes: bool = False
 
     @property
     def isochoric(self) -> bool:
@@ -56,15 +58,15 @@ KERNELS: Mapping[str, RadialKernel] = MappingProxyType(
     {
         kernel.name: kernel
         for kernel in (
-            RadialKernel("r", 0, 0, smooth_at_centre=False),
+            RadialKernel("r", 0, 0, smooth_at_centre=False, in_lanes=True),
             RadialKernel("r2logr", 1, 1),
             RadialKernel("r3", 2, 1),
             RadialKernel("gaussian", 3, -1, scaled=True),
             RadialKernel("inverse-multiquadric", 4, -1, scaled=True),
             RadialKernel("wendland-c2", 5, -1, compact=True, scaled=True),
             RadialKernel("wendland-c4", 6, -1, compact=True, scaled=True),
-            RadialKernel("isochoric-r3", 20, 0, components=3, smooth_at_centre=False),
-            RadialKernel("isochoric-r3-mollified", 21, 0, components=3, scaled=True),
+            RadialKernel("isochoric-r3", 20, 0, components=3, smooth_at_centre=False, in_lanes=True),
+            RadialKernel("isochoric-r3-mollified", 21, 0, components=3, scaled=True, in_lanes=True),
             RadialKernel("isochoric-r5", 22, 1, components=3),
             RadialKernel("isochoric-wendland-c6", 23, -1, components=3, compact=True, scaled=True),
         )

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from musclefit.errors import FieldError
-from musclefit.fields import enclosures, loops
+from musclefit.fields import enclosures, lane_sums, loops
 from musclefit.fields.cells import Cells
 from musclefit.fields.kernels import KERNELS, RadialKernel
 from musclefit.fields.solve import SaddleFactor
@@ -54,10 +54,15 @@ class RadialField:
 
     def displacement(self, points: Points) -> Points:
         """(N, n) displacements at (N, n) points, mm."""
-        where = self._padded(points)
+        n = self._dimension_of(points)
+        if KERNELS[self.kernel].in_lanes:
+            values = np.empty((len(points), 3))
+            lane_sums.values_in_lanes(*self._sum_in_lanes(points), values)
+            return np.ascontiguousarray(values[:, :n])
+        where = self._local(points)
         values = np.zeros_like(where)
         loops.radial_sum(*self._sum_of(where), values)
-        return self._polynomial(points) + values[:, : points.shape[1]]
+        return self._polynomial(points) + values[:, :n]
 
     def gradient(self, points: Points) -> Gradients:
         """(N, n, n) derivatives; at a centre of a kernel without gradient there, its one-sided mean."""
@@ -65,8 +70,12 @@ class RadialField:
 
     def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
         """Both in one pass."""
-        n = points.shape[1]
-        where = self._padded(points)
+        n = self._dimension_of(points)
+        if KERNELS[self.kernel].in_lanes:
+            values, gradients = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
+            lane_sums.gradients_in_lanes(*self._sum_in_lanes(points), values, gradients)
+            return np.ascontiguousarray(values[:, :n]), np.ascontiguousarray(gradients[:, :n, :n])
+        where = self._local(points)
         sums = np.zeros((len(where), 12))
         loops.radial_sum_with_gradient(*self._sum_of(where), sums)
         gradients = sums[:, 3:].reshape(-1, 3, 3)
@@ -142,10 +151,25 @@ class RadialField:
             cells.starts,
         )
 
-    def _padded(self, points: Points) -> Points:
+    def _sum_in_lanes(self, points: Points) -> tuple[Any, ...]:
+        """The arguments of a loop in lanes."""
+        kernel = KERNELS[self.kernel]
+        n = len(self.origin)
+        affine = np.zeros((4, 3))
+        affine[0, :n], affine[1 : n + 1, :n] = self.translation, self.linear
+        weights = _in_space(self.weights)
+        sources = np.hstack([_in_space(self.centres - self.origin), weights, 6.0 * weights])
+        soft = self.scale**2 if kernel.scaled else lane_sums.TINY
+        where = np.ascontiguousarray(_in_space(points), dtype=np.float64)
+        return kernel.isochoric, soft, where, _in_space(self.origin[None])[0], affine, sources
+
+    def _local(self, points: Points) -> Points:
+        return np.ascontiguousarray(_in_space(points - self.origin))
+
+    def _dimension_of(self, points: Points) -> int:
         if points.ndim != 2 or points.shape[1] != self.centres.shape[1]:
             raise FieldError(f"points have shape {points.shape}; this field needs (N, {self.centres.shape[1]})")
-        return np.ascontiguousarray(_in_space(points - self.origin))
+        return int(points.shape[1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,10 @@ sum, against a limit of 0.002.
 """
 SETTLED_RELATIVE = 1e-6
 """See SETTLED_MM3; matters only from 20,000 mm³ on."""
+SETTLED_SHARE = 0.01
+"""It is settled, too, when the change is less than this share of its distance from what it is compared with."""
+BATCH_TRIANGLES = 400_000
+"""Surfaces are refined in batches of about so many triangles at the start, so that memory stays small."""
 START_EDGE_MM = 5.0
 """Longer edges are split before the first estimate, so that no bend of the map hides between vertices, mm."""
 MAX_TRIANGLES = 1_000_000
@@ -31,15 +35,16 @@ Mapped = Callable[[Points], Points]
 
 @dataclass(frozen=True, slots=True)
 class CarriedVolume:
-    """Volume of a mapped surface and how much the last refinement changed it, mm³."""
+    """Volume of a mapped surface, how much the last refinement changed it, and how much it may, mm³."""
 
     volume_mm3: float
     last_change_mm3: float
+    enough_mm3: float = 0.0
 
     @property
     def settled(self) -> bool:
         """True when refining the surface further would hardly change the volume."""
-        return self.last_change_mm3 <= _settled_mm3(self.volume_mm3)
+        return self.last_change_mm3 <= max(_settled_mm3(self.volume_mm3), self.enough_mm3)
 
     def doubt(self) -> str:
         """Why the volume is not settled, in words."""
@@ -49,7 +54,7 @@ class CarriedVolume:
 
 
 def carried_volumes(
-    surfaces: Sequence[TriMesh], *, mapped: Mapped, tick: Callable[[float], None]
+    surfaces: Sequence[TriMesh], *, against: Sequence[float], mapped: Mapped, tick: Callable[[float], None]
 ) -> tuple[CarriedVolume, ...]:
     r"""Volumes enclosed by closed surfaces after a map, refining each surface until its volume settles.
 
@@ -61,8 +66,10 @@ def carried_volumes(
     ----------
     surfaces : sequence of TriMesh
         Closed, at rest.
+    against : sequence of float
+        What each volume will be compared with, mm³: the farther it is from that, the less exact it need be.
     mapped : callable
-        Called once per level with the vertices of all surfaces that have not settled.
+        Called once per level and batch with the vertices of all surfaces that have not settled.
     tick : callable
         Told the fraction of surfaces that have settled.
 
@@ -76,28 +83,49 @@ def carried_volumes(
     ----------
     W. Romberg, Det Kgl. Norske Videnskabers Selskab Forhandlinger 28 (1955) 30.
     """
-    finer = {i: _started(surface) for i, surface in enumerate(surfaces)}
-    tableaus: list[list[float]] = [[] for _ in surfaces]
     found = [CarriedVolume(np.nan, np.inf)] * len(surfaces)
+    for batch in _batches(surfaces):
+        _refine(batch, surfaces, found, against=against, mapped=mapped)
+        tick((batch[-1] + 1) / len(surfaces))
+    return tuple(found)
+
+
+def _batches(surfaces: Sequence[TriMesh]) -> list[range]:
+    """Consecutive numbers of surfaces, together of about ``BATCH_TRIANGLES``."""
+    starts, filled = [0], 0
+    for i, surface in enumerate(surfaces):
+        filled += len(surface.faces)
+        if filled > BATCH_TRIANGLES and i + 1 < len(surfaces):
+            starts.append(i + 1)
+            filled = 0
+    return [range(a, b) for a, b in zip(starts, [*starts[1:], len(surfaces)], strict=True) if b > a]
+
+
+def _refine(
+    batch: range, surfaces: Sequence[TriMesh], found: list[CarriedVolume], *, against: Sequence[float], mapped: Mapped
+) -> None:
+    """Refine the surfaces of one batch until their volumes, put into ``found``, have settled."""
+    finer = {i: _started(surfaces[i]) for i in batch}
+    tableaus: dict[int, list[float]] = {i: [] for i in batch}
     while finer:
         for i, moved in zip(finer, _moved(list(finer.values()), mapped), strict=True):
             before = found[i].volume_mm3
             tableaus[i] = _next_romberg_row(tableaus[i], enclosed_volume(moved))
             change = np.inf if np.isnan(before) else abs(tableaus[i][-1] - before)
-            found[i] = CarriedVolume(tableaus[i][-1], float(change))
+            found[i] = CarriedVolume(tableaus[i][-1], float(change), SETTLED_SHARE * abs(tableaus[i][-1] - against[i]))
         finer = {
             i: halved(surface)
             for i, surface in finer.items()
             if not found[i].settled and 4 * len(surface.faces) <= MAX_TRIANGLES
         }
-        tick(1.0 - len(finer) / max(len(surfaces), 1))
-    return tuple(found)
 
 
 def halved(mesh: TriMesh) -> TriMesh:
     """The same surface with every triangle split in four at the middles of its edges."""
     directed = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    edges, edge_of = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    low, high, span = directed.min(axis=1), directed.max(axis=1), len(mesh.vertices)
+    keys, edge_of = np.unique(low * span + high, return_inverse=True)  # far quicker than unique rows
+    edges = np.stack([keys // span, keys % span], axis=1)
     ab, bc, ca = (len(mesh.vertices) + edge_of.reshape(-1, 3)).T
     a, b, c = mesh.faces.T
     corners = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]

@@ -8,7 +8,7 @@ volume of the mapped rest overlap for the others, never below 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
@@ -18,8 +18,8 @@ from musclefit.geometry.solids import (
     ROUNDING_MM3,
     Solid,
     candidate_pairs,
-    outside_mesh,
-    overlap_mesh,
+    outside_part,
+    overlap_part,
     overlap_volume,
     solid_of,
     volume_outside,
@@ -35,6 +35,14 @@ Pair = tuple[str, str]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Part:
+    """What two solids share, or what of one is outside the other: volume in mm³ and, where there is any, surface."""
+
+    volume: float
+    surface: TriMesh | None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class SolidAnatomy:
     """An anatomy whose surfaces are prepared for booleans; made by `solid_anatomy`, once for many checks.
 
@@ -43,11 +51,14 @@ class SolidAnatomy:
     anatomy : Anatomy
     solids : mapping of tissue name to Solid
     refused : mapping of tissue name to the reason why its surface is no solid
+    known : dict
+        What was measured of pairs already, so that a rest that is checked against many poses is measured once.
     """
 
     anatomy: Anatomy
     solids: Mapping[str, Solid]
     refused: Mapping[str, str]
+    known: dict[tuple[str, Pair], _Part] = field(default_factory=dict)
 
 
 def solid_anatomy(anatomy: Anatomy, *, progress: Progress) -> SolidAnatomy:
@@ -177,12 +188,12 @@ class _Measure:
 
     title: str
     volume: Callable[[Solid, Solid], float]
-    surface: Callable[[Solid, Solid], TriMesh]
+    part: Callable[[Solid, Solid], tuple[float, TriMesh]]
     most: Callable[[Solid, Solid], float]
 
 
-_OVERLAP = _Measure("overlaps", overlap_volume, overlap_mesh, lambda a, b: min(a.volume, b.volume))
-_OUTSIDE = _Measure("outside the skin", volume_outside, outside_mesh, lambda a, _: a.volume)
+_OVERLAP = _Measure("overlaps", overlap_volume, overlap_part, lambda a, b: min(a.volume, b.volume))
+_OUTSIDE = _Measure("outside the skin", volume_outside, outside_part, lambda a, _: a.volume)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +215,8 @@ def _introduced(
     progress: Progress,
 ) -> tuple[dict[Pair, _Volumes], tuple[NotChecked, ...]]:
     """Volumes of each pair at rest, deformed and introduced, and the pairs of which they are not known."""
-    at_rest, failed_rest = _volumes(before, pairs, measure=measure, when="at rest", progress=progress)
+    parts, failed_rest = _parts_at_rest(before, pairs, measure=measure, progress=progress)
+    at_rest = {pair: part.volume for pair, part in parts.items()}
     at_end, failed_end = _volumes(after, list(at_rest), measure=measure, when="deformed", progress=progress)
     riding, whole = [], set()
     for a, b in at_end:
@@ -213,9 +225,11 @@ def _introduced(
             whole.add((a, b))
         elif min(at_rest[a, b], at_end[a, b]) > ROUNDING_MM3:
             riding.append((a, b))
-    parts = [measure.surface(before.solids[a], before.solids[b]) for a, b in riding]
+    surfaces = [surface for pair in riding if (surface := parts[pair].surface) is not None]
     with progress.stage(f"{measure.title}: mapping those at rest") as tick:
-        carried = dict(zip(riding, carried_volumes(parts, mapped=mapped, tick=tick), strict=True))
+        against = [at_end[pair] for pair in riding]
+        found = carried_volumes(surfaces, against=against, mapped=mapped, tick=tick)
+        carried = dict(zip(riding, found, strict=True))
     known = {}
     for pair, deformed in at_end.items():
         ridden = carried[pair].volume_mm3 if pair in carried else 0.0
@@ -227,6 +241,26 @@ def _introduced(
         if not c.settled
     )
     return known, (*failed_rest, *failed_end, *unsettled)
+
+
+def _parts_at_rest(
+    state: SolidAnatomy, pairs: Sequence[Pair], *, measure: _Measure, progress: Progress
+) -> tuple[dict[Pair, _Part], tuple[NotChecked, ...]]:
+    """The measured part of each pair at rest, measured once, and the pairs whose volume cannot be believed."""
+    parts, failed = {}, []
+    with progress.stage(f"{measure.title} at rest") as tick:
+        for number, pair in enumerate(pairs):
+            key = measure.title, pair
+            if key not in state.known:
+                try:
+                    volume, surface = measure.part(*(state.solids[name] for name in pair))
+                except MeshError as error:
+                    failed.append(NotChecked(" / ".join(pair), f"{measure.title} at rest: {error}"))
+                    continue
+                state.known[key] = _Part(volume, surface if volume > ROUNDING_MM3 else None)
+            parts[pair] = state.known[key]
+            tick((number + 1) / len(pairs))
+    return parts, tuple(failed)
 
 
 def _volumes(

@@ -14,7 +14,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import refined_to
 from musclefit.progress import Silent
-from musclefit.validate.carried import SETTLED_MM3, carried_volumes
+from musclefit.validate.carried import SETTLED_MM3, CarriedVolume, carried_volumes
 from musclefit.validate.overlaps import check_outside_skin, check_overlaps, rest_overlaps, solid_anatomy
 
 QUIET = Silent()
@@ -235,14 +235,53 @@ def test_carried_volume_of_a_curved_map_is_its_integral() -> None:
         return points * (1.0 + 0.02 * points[:, :1] ** 2 * np.array([0.0, 0.0, 1.0]))
 
     # det = 1 + 0.02 x^2, over [0, 10]^3: 1000 + 0.02 * 100 * 1000 / 3
-    (volume,) = carried_volumes([box((0, 0, 0), (10, 10, 10))], mapped=swell, tick=lambda _: None)
+    (volume,) = carried_volumes(
+        [box((0, 0, 0), (10, 10, 10))], against=[1000 + 2000 / 3], mapped=swell, tick=lambda _: None
+    )
     assert volume.settled
     np.testing.assert_allclose(volume.volume_mm3, 1000 + 2000 / 3, rtol=0, atol=SETTLED_MM3)
 
 
+def test_a_carried_volume_need_not_be_exacter_than_what_it_is_compared_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("musclefit.validate.carried.BATCH_TRIANGLES", 1)
+    surfaces = [box((0, 0, 0), (10, 10, 10)), box((5, 0, 0), (30, 10, 10)), box((-20, 0, 0), (10, 7, 10))]
+    calls: list[int] = []
+
+    def counted(points: Points) -> Points:
+        calls.append(len(points))
+        return bend(points)
+
+    exact = carried_volumes(surfaces, against=[v.volume_mm3 for v in _volumes(surfaces)], mapped=bend, tick=_ignore)
+    loose = carried_volumes(surfaces, against=[1e9] * 3, mapped=counted, tick=_ignore)
+    assert all(v.settled for v in (*exact, *loose))
+    assert len(calls) == 6  # two levels of three batches
+    np.testing.assert_allclose([v.volume_mm3 for v in loose], [v.volume_mm3 for v in exact], rtol=1e-2)
+
+
+def _volumes(surfaces: list[TriMesh]) -> tuple[CarriedVolume, ...]:
+    return carried_volumes(surfaces, against=[0.0] * len(surfaces), mapped=bend, tick=_ignore)
+
+
+def _ignore(_: float) -> None:
+    """Drop a tick."""
+
+
+def test_a_rest_that_is_checked_against_many_poses_is_measured_once() -> None:
+    tissues = [("muscle_a", (0, 0, 0), (10, 10, 10)), ("muscle_b", (8, 0, 0), (20, 10, 10))]
+    anatomy = Anatomy(tuple(Tissue(n, TissueKind.MUSCLE, box(a, b)) for n, a, b in tissues), "mm")
+    rest = solid_anatomy(anatomy, progress=QUIET)
+    first = check_overlaps(rest, anatomy, mapped=same, progress=QUIET)
+    assert first.pairs[0].rest_mm3 == pytest.approx(200.0, rel=1e-12)
+
+    parts = dict(rest.known)
+    assert len(parts) == 1
+    assert check_overlaps(rest, anatomy, mapped=same, progress=QUIET) == first
+    assert all(rest.known[key] is part for key, part in parts.items())
+
+
 def test_a_surface_too_large_to_refine_is_said_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("musclefit.validate.carried.MAX_TRIANGLES", 20)
-    (volume,) = carried_volumes([box((0, 0, 0), (10, 10, 10))], mapped=bend, tick=lambda _: None)
+    (volume,) = carried_volumes([box((0, 0, 0), (10, 10, 10))], against=[0.0], mapped=bend, tick=lambda _: None)
     assert not volume.settled
     assert "too large to refine" in volume.doubt()
 
@@ -253,7 +292,7 @@ def test_a_map_too_rough_to_settle_is_said_to_be() -> None:
     def noise(points: Points) -> Points:
         return points + rng.normal(scale=0.3, size=points.shape)
 
-    (volume,) = carried_volumes([box((0, 0, 0), (10, 10, 10))], mapped=noise, tick=lambda _: None)
+    (volume,) = carried_volumes([box((0, 0, 0), (10, 10, 10))], against=[1000.0], mapped=noise, tick=lambda _: None)
     assert not volume.settled
     assert "still changed it by" in volume.doubt()
 

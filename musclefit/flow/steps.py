@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from musclefit.errors import NotConvergedError
 from musclefit.fields.protocol import Field
-from musclefit.geometry.arrays import Gradients, Points
+from musclefit.geometry.arrays import Float, Gradients, Points
 
 NEWTON_TOLERANCE_MM = 1e-11
 """An implicit step is solved when its equation holds to this at coordinates up to a metre (in proportion beyond)."""
 NEWTON_MAX_ITERATIONS = 30
+BRANCH_STEPS = 16
+"""Strengths of the field through which a solution is followed where Newton's method alone does not find it."""
+BRANCH_TOLERANCE_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -162,31 +165,69 @@ class CayleyStep:
 def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gradients]:
     """Solve y + factor D(y) = target for each point; gives the points and the gradients there.
 
-    Updates that do not lower the residual are halved.
+    By Newton's method from the targets; where that leaves the place in which the map is strictly monotone, along the
+    branch of solutions that begins at the target and grows with the field.
     """
-    n = targets.shape[1]
-    solution, gradients = np.array(targets), np.empty((len(targets), n, n))
-    unsolved = np.arange(len(targets))
-    damping, last = np.ones(len(targets)), np.full(len(targets), np.inf)
     tolerance = NEWTON_TOLERANCE_MM * max(1.0, float(np.abs(targets).max(initial=0.0)) / 1000.0)
-    for _ in range(NEWTON_MAX_ITERATIONS):
-        here = solution[unsolved]
-        displacement, slope = field.displacement_and_gradient(here)
-        residual = here + factor * displacement - targets[unsolved]
-        size = np.abs(residual).max(axis=1)
-        gradients[unsolved] = slope
-        still = size > tolerance
-        if not still.any():
-            return solution, gradients
-        unsolved, here, slope, residual, size = (a[still] for a in (unsolved, here, slope, residual, size))
-        damping[unsolved] = np.where(size < last[unsolved], 1.0, 0.5 * damping[unsolved])
-        last[unsolved] = size
-        update = np.linalg.solve(np.eye(n) + factor * slope, residual[..., None])[..., 0]
-        solution[unsolved] = here - damping[unsolved, None] * update
-    worst = int(unsolved[np.argmax(last[unsolved])])
+    found = _descended(field, targets, targets, factor=factor, tolerance=tolerance)
+    left = np.flatnonzero(found.residuals > tolerance)
+    if left.size:
+        start = targets[left]
+        for number in range(1, BRANCH_STEPS):
+            part = factor * number / BRANCH_STEPS
+            start = _descended(field, targets[left], start, factor=part, tolerance=BRANCH_TOLERANCE_MM).points
+        again = _descended(field, targets[left], start, factor=factor, tolerance=tolerance)
+        for whole, better in zip(found, again, strict=True):
+            whole[left] = better
+    unsolved = np.flatnonzero(found.residuals > tolerance)
+    if not unsolved.size:
+        return found.points, found.gradients
+    worst = int(unsolved[np.argmax(found.residuals[unsolved])])
     raise NotConvergedError(
         f"an implicit step has no solution at {unsolved.size} of {len(targets)} points, first at "
-        f"{np.round(targets[worst], 3).tolist()} mm (residual {last[worst]:.3g} mm); the field is too steep "
+        f"{np.round(targets[worst], 3).tolist()} mm (residual {found.residuals[worst]:.3g} mm); the field is too steep "
         "there for one step: use smaller steps",
-        result=solution,
+        result=found.points,
     )
+
+
+class _Found(NamedTuple):
+    points: Points
+    gradients: Gradients
+    residuals: Float
+
+
+def _descended(field: Field, targets: Points, start: Points, *, factor: float, tolerance: float) -> _Found:
+    """Newton's method from a start; an update that does not lower the residual is taken back and tried half as long."""
+    n = targets.shape[1]
+    solution, gradients = np.array(start), np.empty((len(targets), n, n))
+    kept, update = np.array(start), np.zeros((len(targets), n))
+    left = np.arange(len(targets))
+    damping, last = np.ones(len(targets)), np.full(len(targets), np.inf)
+    for _ in range(NEWTON_MAX_ITERATIONS):
+        here = solution[left]
+        displacement, slope = field.displacement_and_gradient(here)
+        residual = here + factor * displacement - targets[left]
+        size = np.abs(residual).max(axis=1)
+        gradients[left] = slope
+        lower = size < last[left]
+        good, bad = left[lower], left[~lower]
+        kept[good], last[good], damping[good] = here[lower], size[lower], 1.0
+        damping[bad] *= 0.5
+        still = lower & (size > tolerance)
+        update[left[still]] = _newton_update(np.eye(n) + factor * slope[still], residual[still])
+        left = left[last[left] > tolerance]
+        if not left.size:
+            break
+        solution[left] = kept[left] - damping[left, None] * update[left]
+    return _Found(solution, gradients, last)
+
+
+def _newton_update(matrices: Gradients, residuals: Points) -> Points:
+    """Solutions of (N, n, n) systems; the residual itself where the matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, residuals[..., None])[..., 0], dtype=np.float64)
+    except np.linalg.LinAlgError:
+        regular = np.abs(np.linalg.det(matrices)) > 0.0
+        whole = np.where(regular[:, None, None], matrices, np.eye(matrices.shape[1]))
+        return np.asarray(np.linalg.solve(whole, residuals[..., None])[..., 0], dtype=np.float64)

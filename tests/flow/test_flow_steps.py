@@ -1,0 +1,34 @@
+"""Single steps: implicit ones are solved wherever their field is strictly monotone, however narrowly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from musclefit.errors import NotConvergedError
+from musclefit.fields.rbf import RadialBackend, RadialField
+from musclefit.flow.steps import CayleyStep, ExplicitStep
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_steps_close_to_their_limit_are_solved_everywhere(seed):
+    """Newton's method overshoots where the field's slope jumps; updates that do not help must be taken back."""
+    rng = np.random.default_rng(seed)
+    handles, points = rng.uniform(-50.0, 50.0, (11, 2)), rng.uniform(-50.0, 50.0, (20_000, 2))
+    field = RadialBackend("wendland-c2", 90.0).fit(handles, rng.normal(size=(11, 2)))
+    gradients = field.gradient(points)
+    strain = np.linalg.eigvalsh(0.5 * (gradients + gradients.swapaxes(1, 2)))
+    cayley = field.scaled(1.99 / np.abs(strain).max())
+    targets = points - 0.5 * cayley.displacement(points)
+    step = CayleyStep(cayley)
+    there = step(targets)
+    np.testing.assert_allclose(there - targets, cayley.displacement(0.5 * (there + targets)), rtol=0, atol=1e-9)
+    explicit = ExplicitStep(field.scaled(-0.995 / strain.min()))
+    back = explicit.inverse()(explicit(points))
+    np.testing.assert_allclose(explicit(back), explicit(points), rtol=0, atol=1e-9)
+
+
+def test_a_step_that_flattens_space_cannot_be_undone_and_says_so():
+    flat = RadialField("gaussian", 1.0, *(np.zeros((1, 3)),) * 2, np.zeros(3), np.diag([-1.0, 0, 0]), np.zeros(3), 0, 0)
+    with pytest.raises(NotConvergedError, match="no solution at 2 of 3 points"):
+        ExplicitStep(flat).inverse()(np.array([[0.0, 1.0, 2.0], [3.0, 1.0, 2.0], [-4.0, 0.0, 0.0]]))

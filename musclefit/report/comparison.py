@@ -78,6 +78,7 @@ _ROWS = (
     ("Folds", "inverted tets", "tets"),
     ("Folds", "smallest tet volume ratio", ""),
     ("Overlaps", "introduced overlap", "mm³"),
+    ("Overlaps", "grown overlap", "mm³"),
     ("Overlaps", "pairs with introduced overlap", "pairs"),
     ("Overlaps", "introduced outside skin", "mm³"),
     ("Bends", "bone off rigid", "mm"),

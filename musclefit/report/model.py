@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import TissueKind
+from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.rig.model import Limits
 from musclefit.validate.model import (
     BoneFieldCheck,
@@ -232,8 +233,10 @@ def checks_against(limits: Limits, side: Side) -> tuple[Check, ...]:
     if muscles:
         changes = [(t.name, abs(_measured(t.volume_change_percent))) for t in muscles]
         checks.append(_worst("muscle volume change", changes, limits.muscle_volume_percent, unit="%"))
-    pairs = [(_pair(p), _volume(p.introduced_mm3)) for p in side.overlaps.pairs]
-    checks.append(_total("introduced overlap", pairs, limits.introduced_overlap_mm3))
+    apart, riding = _by_rest(side.overlaps.pairs)
+    checks.append(_total("introduced overlap", apart, limits.introduced_overlap_mm3))
+    if riding:
+        checks.append(_total("grown overlap", riding, limits.grown_overlap_mm3))
     if side.of_kind(TissueKind.SKIN):
         inside = [t for t in side.tissues if t.kind != TissueKind.SKIN]
         outside = [(t.name, _volume(t.outside_skin_introduced_mm3)) for t in inside]
@@ -290,6 +293,14 @@ def _total(name: str, volumes: list[tuple[str, float]], limit: float) -> Check:
     total = math.fsum(volume for _, volume in volumes)
     place, largest = max(volumes, key=lambda item: math.inf if math.isnan(item[1]) else item[1], default=("", 0.0))
     return Check(name, total, limit, "mm³", "" if largest == 0 else place)
+
+
+def _by_rest(pairs: Iterable[PairOverlap]) -> tuple[list[tuple[str, float]], list[tuple[str, float]]]:
+    """What is introduced between pairs that were apart at rest, and between those that overlapped already."""
+    split: tuple[list[tuple[str, float]], list[tuple[str, float]]] = ([], [])
+    for pair in pairs:
+        split[not pair.rest_mm3 <= ROUNDING_MM3].append((_pair(pair), _volume(pair.introduced_mm3)))
+    return split
 
 
 def _pair(pair: PairOverlap) -> str:

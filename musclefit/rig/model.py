@@ -303,6 +303,9 @@ class TetSettings:
 class Limits:
     """What a run must keep to pass.
 
+    ``introduced_overlap_mm3`` is for pairs that are apart at rest, ``grown_overlap_mm3`` for those that overlap at rest:
+    what they share beyond that overlap carried along.
+
     Raises
     ------
     RigError
@@ -313,6 +316,7 @@ class Limits:
     bone_rigidity_mm: float = 0.01
     muscle_volume_percent: float = 1.0
     introduced_overlap_mm3: float = 1.0
+    grown_overlap_mm3: float = 1.0
     introduced_outside_skin_mm3: float = 1.0
     inverted_tets: int = 0
 

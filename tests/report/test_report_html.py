@@ -85,12 +85,26 @@ def test_every_name_is_escaped(make_report, make_side, make_tissue):
 
 
 def test_the_banner_says_passed_or_what_failed(make_report, make_side, make_tissue):
-    assert "All 11 checks are within their limits." in _Reader(render_html(make_report(), pictures={})).text
+    assert "All 12 checks are within their limits." in _Reader(render_html(make_report(), pictures={})).text
     side = make_side(status="the step budget ran out", tissues=(make_tissue("ulna", "bone", rigidity_mm=2.5),))
     text = _Reader(render_html(make_report(result=side), pictures={})).text
     assert "not converged: the step budget ran out" in text
     assert "bone off rigid: 2.5\u00a0mm (ulna); the limit is 0.01\u00a0mm" in text.replace(" mm", "\u00a0mm")
     assert "Passed" not in text
+
+
+def test_long_tables_fold_away_all_but_the_worst(make_report, make_side, make_tissue):
+    tissues = tuple(make_tissue(f"muscle_{k}", "muscle", volume_change_percent=float(k)) for k in range(689))
+    pairs = tuple(PairOverlap(f"a{k}", f"b{k}", 9.0, 9.0 + k, float(k)) for k in range(60))
+    report = make_report(result=make_side(tissues=tissues, overlaps=OverlapCheck(pairs, 99, ())))
+    page = render_html(report, pictures={})
+    read = _Reader(page)
+    assert read.tags.count("details") == 2
+    assert "664 more tissues" in read.text
+    assert "35 more pairs" in read.text
+    folded = page.index("664 more tissues")
+    assert page.index("muscle_<wbr>688") < page.index("muscle_<wbr>664") < folded < page.index("muscle_<wbr>663")
+    assert page.count("muscle_<wbr>0<") == 1
 
 
 def test_what_is_missing_is_told(make_report, make_side, make_tissue):

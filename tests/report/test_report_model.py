@@ -37,6 +37,7 @@ def test_a_run_within_its_limits_passes_and_every_limit_is_held(make_report):
         "bone off rigid": 0.01,
         "muscle volume change": 1.0,
         "introduced overlap": 1.0,
+        "grown overlap": 1.0,
         "introduced outside skin": 1.0,
         "not checked": 0.0,
     }
@@ -45,6 +46,17 @@ def test_a_run_within_its_limits_passes_and_every_limit_is_held(make_report):
 def _pairs(*introduced):
     pairs = tuple(PairOverlap("a", f"b{i}", 0.0, v, v) for i, v in enumerate(introduced))
     return OverlapCheck(pairs, 9, ())
+
+
+def test_overlap_that_was_there_at_rest_has_a_limit_of_its_own(make_report, make_side):
+    pairs = (PairOverlap("a", "b", 0.0, 0.5, 0.5), PairOverlap("a", "c", 100.0, 130.0, 7.0))
+    side = make_side(overlaps=OverlapCheck(pairs, 9, ()))
+    report = make_report(result=side, limits=replace(Limits(), grown_overlap_mm3=8.0))
+    checks = {check.name: check for check in report.checks}
+    assert (checks["introduced overlap"].value, checks["introduced overlap"].place) == (0.5, "a / b")
+    assert (checks["grown overlap"].value, checks["grown overlap"].place) == (7.0, "a / c")
+    assert _failed(report) == set()
+    assert _failed(make_report(result=side)) == {"grown overlap"}
 
 
 def _with(**changed):

@@ -145,7 +145,8 @@ def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
         case JointDrive():
             joints = files.find(drive.joints, key="drive.joints")
             landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
-            return replace(drive, joints=joints, landmarks=landmarks)
+            motion = files.find(drive.motion, key="drive.motion") if drive.motion else ""
+            return replace(drive, joints=joints, landmarks=landmarks, motion=motion)
         case LandmarkDrive() | CageDrive():
             source = files.find(drive.source, key="drive.source")
             target = files.find(drive.target, key="drive.target") if drive.target else ""

@@ -19,6 +19,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.cli.cage import cage
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.progress import TimedStages
+from musclefit.cli.sequence import sequence
 from musclefit.cli.summary import print_inspection, print_run
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import InputError, MusclefitError
@@ -167,6 +168,7 @@ def check(
 
 app.command(warp_image, name="warp-image", sort_key=4)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
+app.command(sequence, name="sequence", sort_key=6)
 app.command(cage, sort_key=6)
 
 
@@ -223,10 +225,17 @@ def _run(
         for finding in job.findings:
             if finding.code in TOLD_BEFORE:
                 stages.say(finding.message)
-        from musclefit.io.runs import prepared_tets, save
+        from musclefit.io.runs import planned_tets, prepared_tets, save
+        from musclefit.io.tet_cache import CACHE_FINDING
         from musclefit.pipeline.retarget import retarget
 
+        plan = None if no_tets else planned_tets(job)
+        if plan is not None:
+            stages.say(plan.in_words)
         tets = None if no_tets else prepared_tets(job, progress=stages)
+        for finding in tets.findings if tets is not None else ():
+            if finding.code == CACHE_FINDING:
+                stages.say(finding.message)
         result = retarget(job, tets=tets, progress=stages)
         report = save(result, out, seconds=stages.seconds, progress=stages)
     if json:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from types import ModuleType
 
 import numpy as np
 
-from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
@@ -81,7 +82,7 @@ class _Boxes:
 
 
 def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> PassageCheck:
-    """Every pair of tissues that meet between two frames.
+    """Every pair of tissues that meet between two frames; the skin is left out, as in overlaps.
 
     Parameters
     ----------
@@ -140,17 +141,21 @@ def _ipctk() -> ModuleType:
 
 
 def _soup(before: Anatomy, after: Anatomy) -> _Soup:
-    names = tuple(t.name for t in before)
-    if names != tuple(t.name for t in after):
+    if tuple(t.name for t in before) != tuple(t.name for t in after):
         raise InputError("the two frames have different tissues; give two frames of one sequence")
+    inner = [(before[t.name], after[t.name]) for t in before if t.kind is not TissueKind.SKIN]
+    if len(inner) < 2:
+        raise InputError(f"{len(inner)} tissues beside the skin have nothing to pass through; give at least 2")
     faces, tissue, start = [], [], 0
-    for number, (one, other) in enumerate(zip(before, after, strict=True)):
+    for number, (one, other) in enumerate(inner):
         if not np.array_equal(one.surface.faces, other.surface.faces):
             raise InputError(f"{one.name} has other triangles in the two frames; give two frames of one sequence")
         faces.append(one.surface.faces + start)
         tissue.append(np.full(len(one.surface.vertices), number))
         start += len(one.surface.vertices)
-    return _Soup(before.vertices(), after.vertices(), np.concatenate(faces), np.concatenate(tissue), names)
+    places = [np.concatenate([pair[k].surface.vertices for pair in inner]) for k in (0, 1)]
+    names = tuple(one.name for one, _ in inner)
+    return _Soup(places[0], places[1], np.concatenate(faces), np.concatenate(tissue), names)
 
 
 def _neighbourhoods(soup: _Soup) -> Iterator[tuple[float, Float, Int]]:
@@ -182,28 +187,40 @@ def _neighbourhoods(soup: _Soup) -> Iterator[tuple[float, Float, Int]]:
 
 def _meetings(ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> tuple[int, dict[tuple[int, int], float]]:
     """How many pairs of primitives of some triangles were examined, and when tissues among them first meet."""
-    used, corners = np.unique(soup.faces[faces], return_inverse=True)
-    triangles = np.asfortranarray(corners.reshape(-1, 3).astype(np.int32))
-    origin = soup.before[used].mean(axis=0)
-    before = np.asfortranarray(soup.before[used] - origin)
-    after = np.asfortranarray(soup.after[used] - shift - origin)
-    edges = np.asfortranarray(ipctk.edges(triangles))
-    mesh = ipctk.CollisionMesh(before, edges, triangles)
-    tissue = soup.tissue[used]
-    mesh.can_collide = ipctk.make_vertex_patches_filter(tissue.astype(np.int32))
-    candidates = ipctk.Candidates()
-    candidates.build(mesh, before, after, broad_phase=ipctk.LBVH())
-    examined = len(candidates)
+    all_together = _Examined(ipctk, soup, faces, shift)
     first: dict[tuple[int, int], float] = {}
-    if not examined or candidates.is_step_collision_free(mesh, before, after):
-        return examined, first
-    for candidate in (*candidates.ee_candidates, *candidates.fv_candidates):
-        numbers = [k for k in candidate.vertex_ids(edges, triangles) if k >= 0]
-        meets, at = candidate.ccd(before[numbers].ravel(), after[numbers].ravel())
-        if meets:
-            a, b = sorted({int(tissue[numbers[0]]), int(tissue[numbers[-1]])})
-            first[a, b] = min(float(at), first.get((a, b), np.inf))
-    return examined, first
+    if not all_together.is_free():
+        owner = soup.tissue[soup.faces[faces, 0]]
+        for a, b in combinations(np.unique(owner).tolist(), 2):
+            pair = _Examined(ipctk, soup, faces[(owner == a) | (owner == b)], shift)
+            if not pair.is_free():
+                first[a, b] = pair.first_meeting()
+    return all_together.count, first
+
+
+class _Examined:
+    """Some triangles on their way, with the pairs of primitives of different tissues whose boxes touch."""
+
+    def __init__(self, ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> None:
+        used, corners = np.unique(soup.faces[faces], return_inverse=True)
+        origin = soup.before[used].mean(axis=0)
+        self.faces = np.asfortranarray(corners.reshape(-1, 3).astype(np.int32))
+        self.edges = np.asfortranarray(ipctk.edges(self.faces))
+        self.before = np.asfortranarray(soup.before[used] - origin)
+        self.after = np.asfortranarray(soup.after[used] - shift - origin)
+        self.mesh = ipctk.CollisionMesh(self.before, self.edges, self.faces)
+        self.mesh.can_collide = ipctk.make_vertex_patches_filter(soup.tissue[used].astype(np.int32))
+        self.candidates = ipctk.Candidates()
+        self.candidates.build(self.mesh, self.before, self.after, broad_phase=ipctk.LBVH())
+        self.count = len(self.candidates)
+
+    def is_free(self) -> bool:
+        """Whether no pair meets."""
+        return not self.count or bool(self.candidates.is_step_collision_free(self.mesh, self.before, self.after))
+
+    def first_meeting(self) -> float:
+        """When the first pair meets, at the latest: the search is conservative, and ends a little before."""
+        return float(self.candidates.compute_collision_free_stepsize(self.mesh, self.before, self.after))
 
 
 def _overlap(anatomy: Anatomy, one: str, other: str) -> float:

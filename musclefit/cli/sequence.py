@@ -1,0 +1,96 @@
+"""The command that follows a motion frame by frame."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from musclefit.cli.progress import TimedStages
+from musclefit.io.rig_names import find_rig
+from musclefit.report.sequence import SequenceReport
+from musclefit.rig.motion import Interpolation
+
+PASSED, FAILED = 0, 1
+
+
+def sequence(
+    rig: Annotated[str, Parameter(help="A rig file that joints drive, or the name of a built-in rig.")],
+    motion: Annotated[
+        Path | None,
+        Parameter(help="CSV of keyframes: time_s, <coordinate>_deg, ... Without it: motion.keyframes of the rig."),
+    ] = None,
+    /,
+    *,
+    frames: Annotated[
+        int, Parameter(name="--frames", help="How many, evenly spaced in time. Without it: motion.frames of the rig.")
+    ] = 0,
+    interpolation: Annotated[
+        Interpolation | None,
+        Parameter(name="--interpolation", help="Between keyframes. Without it: motion.interpolation of the rig."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        Parameter(
+            name=["--out", "-o"],
+            help="Folder for the frames; a run that was interrupted there goes on. Without it: musclefit-out/ and the "
+            "rig's name.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int, Parameter(name="--workers", help="Processes; one thread each. Without it: as many as processors.")
+    ] = 0,
+    set: Annotated[  # noqa: A002 (the option's name)
+        tuple[str, ...],
+        Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
+    ] = (),
+    no_between: Annotated[
+        bool, Parameter(name="--no-between", negative="", help="Do not examine what passes between frames.")
+    ] = False,
+    no_film: Annotated[bool, Parameter(name="--no-film", negative="", help="Make no film and no pictures.")] = False,
+    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+) -> int:
+    """Follow a motion: every frame from rest, checked; muscle measures, series, film and report."""
+    from musclefit.io.rigs import read_rig
+    from musclefit.io.sequence_outputs import write_outputs
+    from musclefit.io.sequences import planned, run_sequence
+
+    path = find_rig(rig)
+    folder = out if out is not None else Path("musclefit-out") / path.stem
+    with TimedStages(shown=not quiet) as stages:
+        job = read_rig(path, overrides=set, progress=stages)
+        plan = planned(job, motion=motion, frames=frames, interpolation=interpolation)
+        report = run_sequence(plan, folder, workers=workers or _processors(), between=not no_between, progress=stages)
+        write_outputs(plan, folder, report, film=not no_film, seconds=stages.seconds, progress=stages)
+    if not quiet:
+        _print(report, folder)
+    return PASSED if report.verdict == "passed" else FAILED
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _print(report: SequenceReport, folder: Path) -> None:
+    """The verdict, the checks and where everything is."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(
+        Text(f"{report.verdict}: {report.title}", style="bold green" if report.verdict == "passed" else "bold red")
+    )
+    console.print(Text(report.resampling))
+    console.print(Text(f"{len(report.made)} of {len(report.frames)} frames made, {report.certified} certified"))
+    table = Table(box=None, pad_edge=False)
+    for heading, justify in (("", "left"), ("check", "left"), ("value", "right"), ("limit", "right"), ("unit", "left")):
+        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    table.add_column("where", justify="left")
+    for check in report.checks:
+        said = f"{check.value:.4g}", f"{check.limit:.4g}"
+        table.add_row("ok" if check.passed else "FAIL", check.name, *said, check.unit, Text(check.place))
+    console.print(table)
+    console.print(Text(f"wrote {folder}"))

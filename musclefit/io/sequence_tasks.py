@@ -1,0 +1,104 @@
+"""What worker processes of a sequence do: make a frame, or examine what lies between two, and write it."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from musclefit.errors import MusclefitError
+from musclefit.geometry.arrays import Points
+from musclefit.io.sequence_frames import VERTICES, frame_folder, write_atomically, write_frame
+from musclefit.pipeline.sequence import Stage
+from musclefit.progress import Silent
+from musclefit.report.sequence import BetweenSummary
+from musclefit.rig.job import Job
+from musclefit.rig.motion import Pose
+from musclefit.validate.passing import check_passages
+
+BETWEEN = "between"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Work:
+    stage: Stage
+    poses: tuple[Pose, ...]
+    folder: Path
+
+
+_here: list[_Work] = []
+"""What this process was prepared for; a worker serves one sequence."""
+
+
+def prepare(job: Job, poses: tuple[Pose, ...], folder: Path) -> None:
+    """Prepare this process for a sequence."""
+    _here[:] = [_Work(Stage.of(job), poses, folder)]
+
+
+def make(number: int) -> float:
+    """Make and write a frame; the CPU seconds that it took."""
+    work, start = _here[0], time.process_time()
+    frame = work.stage.frame(work.poses[number])
+    write_frame(work.folder, frame, job=work.stage.job, cpu_s={"frame": time.process_time() - start})
+    return time.process_time() - start
+
+
+def examine(number: int) -> float:
+    """Examine and write what lies between a frame and the next; the CPU seconds that it took."""
+    work, start = _here[0], time.process_time()
+    rest = work.stage.job.anatomy
+    ends = [frame_folder(work.folder, k) / VERTICES for k in (number, number + 1)]
+    before, after = (rest.with_vertices(_vertices(path)) for path in ends)
+    times = [work.poses[k].time_s for k in (number, number + 1)]
+    try:
+        found = check_passages(before, after, progress=Silent())
+        passages = tuple(
+            (p.a, p.b, times[0] + p.at * (times[1] - times[0]), p.overlap_before_mm3, p.overlap_after_mm3, p.hidden)
+            for p in found.passages
+        )
+        summary = BetweenSummary(number, number + 1, passages, found.pairs_examined)
+    except MusclefitError as error:
+        summary = BetweenSummary(number, number + 1, problem=str(error))
+    seconds = time.process_time() - start
+    write_between(work.folder, replace(summary, cpu_s=round(seconds, 3)), key=between_key(*ends))
+    return seconds
+
+
+def between_key(first: Path, second: Path) -> str:
+    """The hash of what two frames hold."""
+    return sha256(first.read_bytes() + second.read_bytes()).hexdigest()
+
+
+def write_between(folder: Path, summary: BetweenSummary, *, key: str) -> None:
+    """Write what was found between two frames."""
+    record = {
+        "key": key,
+        "first": summary.first,
+        "second": summary.second,
+        "passages": [list(passage) for passage in summary.passages],
+        "pairs_examined": summary.pairs_examined,
+        "problem": summary.problem,
+        "cpu_s": summary.cpu_s,
+    }
+    write_atomically(folder / BETWEEN / f"{summary.first:04d}.json", json.dumps(record))
+
+
+def read_between(folder: Path, number: int) -> BetweenSummary | None:
+    """What was found between a frame and the next; None where it must be examined (again)."""
+    path = folder / BETWEEN / f"{number:04d}.json"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        ends = [frame_folder(folder, k) / VERTICES for k in (number, number + 1)]
+        if record.pop("key") != between_key(*ends) or record["problem"]:
+            return None
+        return BetweenSummary(**{**record, "passages": tuple(tuple(p) for p in record["passages"])})
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _vertices(path: Path) -> Points:
+    return np.load(path, allow_pickle=False)  # type: ignore[no-any-return]

@@ -1,0 +1,122 @@
+"""Tasks in worker processes whose numeric libraries keep to their share of the processors; knows no task."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any
+
+from musclefit.errors import MusclefitError
+
+PINNED = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+"""Environment variables that say how many threads numeric libraries use; each is 1 in every worker."""
+
+
+class Pool:
+    """Worker processes, started when first needed and gone when left.
+
+    Parameters
+    ----------
+    workers : int
+    prepare : callable
+        Run once in each worker, with ``given``; it and the tasks must be importable.
+    given : sequence
+    """
+
+    def __init__(self, workers: int, *, prepare: Callable[..., None], given: Sequence[Any]) -> None:
+        self._workers, self._prepare, self._given = workers, prepare, tuple(given)
+        self._executor: ProcessPoolExecutor | None = None
+        self._before: set[multiprocessing.process.BaseProcess] = set()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if self._executor is None:
+            return
+        if kind is None:
+            self._executor.shutdown(wait=True)
+            return
+        children = set(multiprocessing.active_children()) - self._before
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        for child in children:
+            child.terminate()
+        for child in children:
+            child.join()
+
+    def run(self, task: Callable[[int], Any], numbers: Sequence[int]) -> Iterator[tuple[int, Any]]:
+        """The results of a task for each number, as they are done.
+
+        Raises
+        ------
+        MusclefitError
+            A worker died, as it does when memory runs out.
+        """
+        with _pinned():
+            if self._executor is None:
+                self._start()
+            assert self._executor is not None
+            waiting: dict[Future[Any], int] = {self._executor.submit(task, number): number for number in numbers}
+            while waiting:
+                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    try:
+                        result = future.result()
+                    except BrokenProcessPool:
+                        raise MusclefitError(
+                            "a worker process ended without a word, as when memory runs out, or when a script starts "
+                            'work outside of if __name__ == "__main__":; what is finished is kept: run it again with '
+                            "fewer workers"
+                        ) from None
+                    yield waiting.pop(future), result
+
+    def _start(self) -> None:
+        self._before = set(multiprocessing.active_children())
+        context = multiprocessing.get_context("spawn")
+        turn = context.Value("i", 0)
+        self._executor = ProcessPoolExecutor(
+            self._workers,
+            mp_context=context,
+            initializer=_begin,
+            initargs=(turn, self._workers, self._prepare, self._given),
+        )
+
+
+def _begin(turn: Any, workers: int, prepare: Callable[..., None], given: tuple[Any, ...]) -> None:
+    """Leave interrupts to the parent, keep to a share of the processors, and prepare."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with turn.get_lock():
+        number, turn.value = turn.value, turn.value + 1
+    if hasattr(os, "sched_setaffinity"):  # booleans use all processors they may run on, whatever the environment says
+        mine = sorted(os.sched_getaffinity(0))
+        share = len(mine) // workers
+        if share:
+            os.sched_setaffinity(0, mine[number % workers :: workers][:share])
+    prepare(*given)
+
+
+@contextmanager
+def _pinned() -> Iterator[None]:
+    """Processes started meanwhile use one thread each in their numeric libraries."""
+    before = {name: os.environ.get(name) for name in PINNED}
+    os.environ.update(dict.fromkeys(PINNED, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

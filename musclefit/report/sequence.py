@@ -1,0 +1,300 @@
+"""A sequence as a value: frames, what lies between them, and whether all keep the limits; knows no file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from musclefit.report.model import Verdict, verdict_of
+from musclefit.validate.model import Check, MapClaim
+from musclefit.validate.muscles import MuscleMeasures
+
+SEQUENCE_SCHEMA_VERSION = 1
+
+REST_MM = 1e-9
+"""How far a frame in the rest pose may be from rest."""
+
+MADE, REFUSED, FAILED = "made", "refused", "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSummary:
+    """One frame.
+
+    Parameters
+    ----------
+    number, time_s, pose_deg
+    outcome : str
+        "made"; "refused" where bones run into each other; "failed" where the method does not get there.
+    problem : str
+        Why it was not made, in words.
+    checks : tuple of Check
+        As in the report of a single run; none where it was not made.
+    claim : str
+        What is known of the map.
+    steps : int
+    method : str
+    off_rest_mm : float or None
+        In the rest pose, how far from rest; None in other poses.
+    overlap_mm3 : float
+        Introduced, over all pairs.
+    overlaps : tuple of (a, b, mm³)
+        Pairs with introduced overlap, largest first.
+    muscles : tuple of MuscleMeasures
+    volume_changes : mapping of muscle name to percent
+    cpu_s : mapping of part to seconds
+    """
+
+    number: int
+    time_s: float
+    pose_deg: Mapping[str, float]
+    outcome: str
+    problem: str
+    checks: tuple[Check, ...]
+    claim: str
+    steps: int
+    method: str
+    off_rest_mm: float | None
+    overlap_mm3: float
+    overlaps: tuple[tuple[str, str, float], ...]
+    muscles: tuple[MuscleMeasures, ...]
+    volume_changes: Mapping[str, float]
+    cpu_s: Mapping[str, float]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Passed when it was made and every check passed."""
+        return verdict_of(self.checks) if self.outcome == MADE else "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class BetweenSummary:
+    """What happens from one frame to the next: pairs that meet, with the time they are first seen to.
+
+    ``passages`` holds (a, b, time in s, overlap in the frame before and after in mm³, hidden); ``problem`` says why
+    it was not examined, in words.
+    """
+
+    first: int
+    second: int
+    passages: tuple[tuple[str, str, float, float, float, bool], ...] = ()
+    pairs_examined: int = 0
+    problem: str = ""
+    cpu_s: float = 0.0
+
+    @property
+    def hidden(self) -> int:
+        """Pairs that pass through each other without any frame showing it."""
+        return sum(passage[5] for passage in self.passages)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SequenceReport:
+    """A motion from its first to its last frame.
+
+    Parameters
+    ----------
+    title : str
+    resampling : str
+        How frames were made of keyframes, in words.
+    frames : tuple of FrameSummary
+    between : tuple of BetweenSummary
+        One for each pair of consecutive frames; empty where that was not asked for.
+    limits : mapping of limit to value
+    cpu_s : mapping of part to seconds
+        Summed over all processes, of this run.
+    provenance : mapping
+    """
+
+    title: str
+    resampling: str
+    frames: tuple[FrameSummary, ...]
+    between: tuple[BetweenSummary, ...]
+    limits: Mapping[str, float]
+    cpu_s: Mapping[str, float]
+    provenance: Mapping[str, Any]
+
+    @property
+    def made(self) -> tuple[FrameSummary, ...]:
+        """The frames with an anatomy."""
+        return tuple(frame for frame in self.frames if frame.outcome == MADE)
+
+    @property
+    def certified(self) -> int:
+        """Frames whose map is proved one-to-one; undecided proofs are told, and do not fail a sequence."""
+        return sum(frame.claim == MapClaim.CERTIFIED.value for frame in self.made)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The worst of each check over all frames, and those of the sequence itself."""
+        refused = [f for f in self.frames if f.outcome == REFUSED]
+        failed = [f for f in self.frames if f.outcome == FAILED]
+        checks = [
+            Check("refused frames", float(len(refused)), 0.0, "frames", refused[0].problem if refused else ""),
+            Check("failed frames", float(len(failed)), 0.0, "frames", failed[0].problem if failed else ""),
+            *_worst_checks(self.made),
+        ]
+        off = [(f.off_rest_mm, _place(f)) for f in self.made if f.off_rest_mm is not None]
+        if off:
+            value, place = max(off)
+            checks.append(Check("rest pose off rest", value, REST_MM, "mm", place))
+        if self.between:
+            checks += _between_checks(self.between)
+        return tuple(checks)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Passed when every check passed."""
+        return verdict_of(self.checks)
+
+
+def summary_of(record: Mapping[str, Any]) -> FrameSummary:
+    """A frame of its JSON record."""
+    result = record["result"]
+    pairs = [] if result is None else result["overlaps"]
+    introduced = [(p["a"], p["b"], _number(p["introduced_mm3"])) for p in pairs if _number(p["introduced_mm3"]) != 0.0]
+    tissues = [] if result is None else result["tissues"]
+    return FrameSummary(
+        number=record["number"],
+        time_s=record["time_s"],
+        pose_deg=record["pose_deg"],
+        outcome=record["outcome"],
+        problem=record["problem"],
+        checks=() if result is None else tuple(_check(check) for check in result["checks"]),
+        claim="" if result is None else result["map"]["claim"],
+        steps=0 if result is None else result["steps"],
+        method="" if result is None else result["method"],
+        off_rest_mm=record["off_rest_mm"],
+        overlap_mm3=math.fsum(volume for _, _, volume in introduced),
+        overlaps=tuple(sorted(introduced, key=lambda pair: -pair[2])),
+        muscles=tuple(MuscleMeasures(**muscle) for muscle in record["muscles"]),
+        volume_changes={t["name"]: _number(t["volume_change_percent"]) for t in tissues if t["kind"] == "muscle"},
+        cpu_s=record["cpu_s"],
+    )
+
+
+def sequence_to_json(report: SequenceReport) -> dict[str, Any]:
+    """The report as JSON values; numbers that are not finite become null."""
+    return {
+        "schema_version": SEQUENCE_SCHEMA_VERSION,
+        "title": report.title,
+        "verdict": report.verdict,
+        "resampling": report.resampling,
+        "certified_frames": report.certified,
+        "limits": dict(report.limits),
+        "checks": [_plain_check(check) for check in report.checks],
+        "frames": [_frame(frame) for frame in report.frames],
+        "between": [_between(between) for between in report.between],
+        "cpu_s": dict(report.cpu_s),
+        "provenance": dict(report.provenance),
+    }
+
+
+MEASURES = tuple(field.name for field in fields(MuscleMeasures) if field.name != "name")
+"""What is measured of each muscle, as columns of a table."""
+
+
+def measures_table(frames: Sequence[FrameSummary]) -> list[list[str]]:
+    """Muscle measures over time as rows of text, headings first; one row per muscle and frame."""
+    rows = [["frame", "time_s", "muscle", *MEASURES, "volume_change_percent"]]
+    for frame in frames:
+        for muscle in frame.muscles:
+            values = asdict(muscle)
+            cells = ["" if values[k] is None else str(values[k]) for k in MEASURES]
+            change = repr(frame.volume_changes[muscle.name])
+            rows.append([str(frame.number), repr(frame.time_s), muscle.name, *cells, change])
+    return rows
+
+
+def _worst_checks(frames: Sequence[FrameSummary]) -> list[Check]:
+    """Of each check the frame that does worst."""
+    worst: dict[str, Check] = {}
+    for frame in frames:
+        for check in frame.checks:
+            known = worst.get(check.name)
+            if known is None or _badness(check) > _badness(known):
+                place = _place(frame) + (f": {check.place}" if check.place else "")
+                worst[check.name] = Check(
+                    check.name, check.value, check.limit, check.unit, place if check.value else ""
+                )
+    return list(worst.values())
+
+
+def _badness(check: Check) -> float:
+    return math.inf if math.isnan(check.value) else check.value
+
+
+def _between_checks(between: Sequence[BetweenSummary]) -> list[Check]:
+    hidden = [(b, p) for b in between for p in b.passages if p[5]]
+    left = [b for b in between if b.problem]
+    place = ""
+    if hidden:
+        b, (one, other, time, *_) = hidden[0]
+        place = f"{one} / {other} at {time:.4g} s, between frames {b.first} and {b.second}"
+    return [
+        Check("passed through between frames", float(len(hidden)), 0.0, "pairs", place),
+        Check(
+            "not examined between frames",
+            float(len(left)),
+            0.0,
+            "pairs of frames",
+            f"frames {left[0].first} and {left[0].second}: {left[0].problem}" if left else "",
+        ),
+    ]
+
+
+def _place(frame: FrameSummary) -> str:
+    return f"frame {frame.number} at {frame.time_s:.4g} s"
+
+
+def _check(said: Mapping[str, Any]) -> Check:
+    return Check(said["name"], _number(said["value"]), _number(said["limit"]), said["unit"], said["place"])
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _plain_check(check: Check) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "value": _finite(check.value),
+        "limit": _finite(check.limit),
+        "unit": check.unit,
+        "place": check.place,
+        "passed": check.passed,
+    }
+
+
+def _frame(frame: FrameSummary) -> dict[str, Any]:
+    return {
+        "number": frame.number,
+        "time_s": frame.time_s,
+        "pose_deg": dict(frame.pose_deg),
+        "outcome": frame.outcome,
+        "verdict": frame.verdict,
+        "problem": frame.problem,
+        "claim": frame.claim,
+        "steps": frame.steps,
+        "off_rest_mm": frame.off_rest_mm,
+        "introduced_overlap_mm3": _finite(frame.overlap_mm3),
+        "overlaps": [{"a": a, "b": b, "introduced_mm3": _finite(v)} for a, b, v in frame.overlaps],
+        "checks": [_plain_check(check) for check in frame.checks],
+        "muscles": [asdict(muscle) for muscle in frame.muscles],
+        "cpu_s": dict(frame.cpu_s),
+    }
+
+
+def _between(between: BetweenSummary) -> dict[str, Any]:
+    keys = ("a", "b", "time_s", "overlap_before_mm3", "overlap_after_mm3", "hidden")
+    passages = [dict(zip(keys, passage, strict=True)) for passage in between.passages]
+    for passage in passages:
+        for key in keys[3:5]:
+            passage[key] = _finite(passage[key])  # type: ignore[arg-type]
+    return {**asdict(between), "passages": passages}

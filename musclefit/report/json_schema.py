@@ -19,10 +19,6 @@ def report_schema() -> Schema:
         "schema_version": {"const": SCHEMA_VERSION, "description": "Version of these keys and their meaning."},
         "title": _text("Title of the rig."),
         **side,
-        "tets": {
-            "description": "The tetrahedra at rest; null where none were made.",
-            "oneOf": [_tets(), {"type": "null"}],
-        },
         "findings": _list(_finding(), "What was found in the input; no part of the verdict."),
         "baseline": {
             "description": "The same keys for the method compared with, held against the same limits; null where none "
@@ -191,64 +187,6 @@ def _tissue() -> Schema:
         "rigidity_reference": {
             "type": ["string", "null"],
             "description": 'Bones: which rigid motion, "prescribed" by the joints or the "best fit"; else null.',
-def _worst_tet() -> Schema:
-    properties = {
-        "tet": _count("Its number in tets.vtu, from 0."),
-        "tissue": _text("The tissue it belongs to."),
-        "rest_place_mm": _place("Its middle at rest, mm."),
-        "place_mm": _place("Its middle after the deformation, mm."),
-        "volume_ratio": _number("Deformed volume over rest volume."),
-    }
-    return _record(properties, "One tetrahedron.")
-
-
-def _refinement() -> Schema:
-    by_tissue = {"name": _text("Name of the tissue."), "cut": _count("Tetrahedra given that were cut.")}
-    properties = {
-        "rounds": _count("Rounds of splitting edges."),
-        "edges_split": _count("Edges split; all tetrahedra around each were cut in two."),
-        "tets_before": _count("Tetrahedra before."),
-        "inverted_before": _count("Of these, how many came out inverted or flat."),
-        "crossings_before": _count("Crossing pairs of boundary triangles, counted where no tetrahedron was inverted."),
-        "cut_by_tissue": _list(_record(by_tissue, "One tissue."), "Where tetrahedra were cut."),
-        "stopped": _text("Which bound ended the rounds before all was well; empty when all was."),
-    }
-    return _record(properties, "What was split because tetrahedra came out wrong though the map is one-to-one.")
-
-
-def _tets() -> Schema:
-    space = {"tets": _count("Tetrahedra left out."), "volume_mm3": _number("Their volume, mm³.")}
-    properties = {
-        "tets": _count("Tetrahedra."),
-        "vertices": _count("Their vertices."),
-        "left_out": _count("Tetrahedra made that lie in no tissue."),
-        "turned": _count("Tetrahedra that came left-handed and had two corners swapped."),
-        "joint_space": _record(space, "Filler between bones that slide past each other, left out of the mesh."),
-        "tissues": _list(_fit(), "What each tissue got of the mesh; the skin stands for all, the filler for the rest."),
-    }
-    return _record(properties, "The tetrahedra at rest, held against the surfaces they were made from.")
-
-
-def _fit() -> Schema:
-    no_filler = "null for the filler"
-    properties = {
-        "name": _text("Name of the tissue."),
-        "kind": {"enum": ["skin", "filler", "other", "muscle", "bone"], "description": "What the tissue is."},
-        "tets": _count("Tetrahedra that are the tissue's own; for the skin, all inside it."),
-        "volume_mm3": _number("Their volume, mm³."),
-        "surface_mm3": _number(f"Volume that the given surface encloses, mm³; {no_filler}."),
-        "inside_mm3": _number(f"Volume of all tetrahedra inside the given surface, mm³; {no_filler}."),
-        "volume_error_percent": _number(f"How much more these fill than the surface encloses, percent; {no_filler}."),
-        "yielded_mm3": _number(f"Volume inside the surface that tissues won that come first, mm³; {no_filler}."),
-        "envelope_mm": _number(f"How far the tetrahedra's surface may be from the given one, mm; {no_filler}."),
-        "off_mm": _number(
-            f"Largest distance of the tetrahedra's surface from the given one, sampled, mm; {no_filler}."
-        ),
-        "missed_mm": _number(f"Largest distance of the given surface from the tetrahedra's, sampled, mm; {no_filler}."),
-    }
-    return _record(properties, "One tissue in the mesh at rest.")
-
-
         },
         "outside_skin_rest_mm3": _number(f"Volume outside the skin at rest, mm³; {no_skin}."),
         "outside_skin_mm3": _number(f"Volume outside the skin after the deformation, mm³; {no_skin}."),

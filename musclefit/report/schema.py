@@ -7,14 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.fits import TissueFit
 from musclefit.report.json_schema import mesh_report_schema, report_schema
 from musclefit.report.model import (
     SCHEMA_VERSION,
     MeshReport,
     Report,
     Side,
-    TetSummary,
     TissueSummary,
     checks_against,
     total_overlap,
@@ -57,7 +55,6 @@ def side_to_json(side: Side, limits: Limits) -> Json:
     return _side(side, limits)
 
 
-        "tets": None if report.tets is None else _tets(report.tets),
 def _inspection(report: MeshReport) -> Json:
     return {
         "schema_version": SCHEMA_VERSION,
@@ -154,64 +151,6 @@ def _tissue(found: TissueCheck) -> Json:
         "rigidity_mm": _number(found.rigidity_mm),
         "rigidity_reference": found.rigidity_reference,
         "outside_skin_rest_mm3": _number(found.outside_skin_rest_mm3),
-        "theorem": MESH_THEOREM if found.claim is MeshClaim.CERTIFIED else "",
-        "surfaces": MESH_SURFACES,
-        "note": found.note,
-        "boundary_faces": int(found.boundary_faces),
-        "crossings": int(found.crossings),
-        "crossing_tissues": [{"a": a, "b": b, "crossings": int(count)} for a, b, count in found.crossing_tissues],
-        "worst": [_worst_tet(tet) for tet in found.worst],
-        "straight_fraction": _number(found.straight_fraction),
-        "refinement": None if found.refinement is None else _refinement(found.refinement),
-    }
-
-
-def _worst_tet(found: WorstTet) -> Json:
-    return {
-        "tet": int(found.tet),
-        "tissue": found.tissue,
-        "rest_place_mm": [_number(x) for x in found.rest_place_mm],
-        "place_mm": [_number(x) for x in found.place_mm],
-        "volume_ratio": _number(found.volume_ratio),
-    }
-
-
-def _refinement(found: MeshRefinement) -> Json:
-    return {
-        "rounds": int(found.rounds),
-        "edges_split": int(found.edges_split),
-        "tets_before": int(found.tets_before),
-        "inverted_before": int(found.inverted_before),
-        "crossings_before": int(found.crossings_before),
-        "cut_by_tissue": [{"name": name, "cut": int(count)} for name, count in found.cut_by_tissue],
-        "stopped": found.stopped,
-    }
-
-
-def _tets(found: TetSummary) -> Json:
-    return {
-        "tets": int(found.tets),
-        "vertices": int(found.vertices),
-        "left_out": int(found.left_out),
-        "turned": int(found.turned),
-        "joint_space": {"tets": int(found.joint_space_tets), "volume_mm3": _number(found.joint_space_mm3)},
-        "tissues": [_fit(fit) for fit in found.tissues],
-    }
-
-
-def _fit(found: TissueFit) -> Json:
-    return {
-        "name": found.name,
-        "kind": found.kind,
-        "tets": int(found.tets),
-        "volume_mm3": _number(found.volume_mm3),
-        "surface_mm3": _number(found.surface_mm3),
-        "inside_mm3": _number(found.inside_mm3),
-        "volume_error_percent": _number(found.volume_error_percent),
-        "yielded_mm3": _number(found.yielded_mm3),
-        "envelope_mm": _number(found.envelope_mm),
-        "off_mm": _number(found.off_mm),
-        "missed_mm": _number(found.missed_mm),
         "outside_skin_mm3": _number(found.outside_skin_mm3),
         "outside_skin_introduced_mm3": _number(found.outside_skin_introduced_mm3),
     }

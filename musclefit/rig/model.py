@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from itertools import pairwise
 
-from musclefit.anatomy.layers import Gaps
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
 
@@ -278,10 +277,7 @@ class CertificateSettings:
 
 @dataclass(frozen=True, slots=True)
 class TetSettings:
-    """Tetrahedralisation, as `anatomy.layers.LayerRules` says it; fractions are of the bounding box's diagonal.
-
-    Filler between bones that slide past each other is left out where it is within ``joint_space_mm`` of both, if the
-    rig holds bones rigid; 0 leaves none out.
+    """Tetrahedralisation; lengths as fractions of the bounding-box diagonal, as pytetwild takes them.
 
     Raises
     ------
@@ -299,13 +295,6 @@ class TetSettings:
             if not 0.0 < value < 1.0:
                 raise RigError(
                     f"tets.{key}: found {value}; expected a fraction of the bounding-box diagonal between 0 and 1, "
-    edge_length_mm: tuple[tuple[str, float], ...] = ()
-    envelope_mm: tuple[tuple[str, float], ...] = ()
-    priority: tuple[str, ...] = (TissueKind.BONE.value, TissueKind.MUSCLE.value, TissueKind.OTHER.value)
-    gaps: Gaps = Gaps.NONE
-    gap_ratio: float = 4.0
-    gap_edge_mm: float = 2.0
-    joint_space_mm: float = 4.0
                     "both excluded"
                 )
 
@@ -315,40 +304,6 @@ class Limits:
     """What a run must keep to pass.
 
     ``introduced_overlap_mm3`` is for pairs that are apart at rest, ``grown_overlap_mm3`` for those that overlap at rest:
-        own = [(f"edge_length_mm.{name}", length) for name, length in self.edge_length_mm]
-        own += [(f"envelope_mm.{name}", length) for name, length in self.envelope_mm]
-        for key, length in (*own, ("gap_ratio", self.gap_ratio), ("gap_edge_mm", self.gap_edge_mm)):
-            if not 0.0 < length < math.inf:
-                raise RigError(f"tets.{key}: found {length}; expected a finite number above 0")
-        if not 0.0 <= self.joint_space_mm < math.inf:
-            raise RigError(f"tets.joint_space_mm: found {self.joint_space_mm}; expected a finite length of at least 0")
-
-
-@dataclass(frozen=True, slots=True)
-class MeshSettings:
-    """What is done about tetrahedra that a one-to-one map leaves inverted, and which are named before it starts.
-
-    ``refine`` splits edges of tets that come out inverted, or whose boundary faces cross, in at most ``max_rounds``
-    rounds and up to ``max_growth`` times the tets given. Tets with an angle between two faces below ``sliver_deg``, or
-    above 180 less that, are named before the deformation.
-
-    Raises
-    ------
-    RigError
-        No round, a growth below 1, or an angle that is not between 0 and 60 degrees.
-    """
-
-    refine: bool = True
-    max_rounds: int = 120
-    max_growth: float = 1.5
-    sliver_deg: float = 1.0
-
-    def __post_init__(self) -> None:
-        _at_least_one("mesh.max_rounds", self.max_rounds)
-        if not 1.0 <= self.max_growth < math.inf:
-            raise RigError(f"mesh.max_growth: found {self.max_growth}; expected a finite factor of at least 1")
-        if not 0.0 <= self.sliver_deg < 60.0:
-            raise RigError(f"mesh.sliver_deg: found {self.sliver_deg}; expected an angle of 0 up to 60 degrees")
     what they share beyond that overlap carried along.
 
     Raises

@@ -593,11 +593,11 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
 
 def _as_toml(name: str, value: Any) -> str:
     if value == ():
-        return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm") else "[]"
+        return "{}" if name == "kinds" else "[]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
-        return json.dumps(list(value))
+        return repr(list(value))
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 

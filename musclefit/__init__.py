@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from musclefit.anatomy.builtin import upper_limb
+    from musclefit.anatomy.layers import LayerRules
     from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
     from musclefit.geometry.meshes import TetMesh, TriMesh
     from musclefit.geometry.rigid import RigidMotion
@@ -23,6 +24,7 @@ __version__ = _version("musclefit")
 _HOMES = {
     "Anatomy": "anatomy.model",
     "Handles": "rig.handles",
+    "LayerRules": "anatomy.layers",
     "RigidMotion": "geometry.rigid",
     "StraightPath": "rig.handles",
     "TetMesh": "geometry.meshes",
@@ -44,6 +46,7 @@ _HOMES = {
 __all__ = [
     "Anatomy",
     "Handles",
+    "LayerRules",
     "RigidMotion",
     "StraightPath",
     "TetMesh",

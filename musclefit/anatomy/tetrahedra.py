@@ -6,25 +6,27 @@ inverts and the mesh's boundary does not cross itself, no two tissues can inters
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.fits import TissueFit, fit_findings, surface_distances
+from musclefit.anatomy.layers import FILLER, LayerRules, diagonal_mm
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.arrays import Faces, Float, Int, Points, Tets, frozen
+from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points, Tets, frozen
 from musclefit.geometry.meshes import TetMesh
+from musclefit.geometry.orientation import orientations
+from musclefit.geometry.sizing import SizingField
+from musclefit.geometry.tet_topology import tet_faces
 from musclefit.geometry.volumes import enclosed_volume, signed_volumes
 from musclefit.geometry.winding import winding_numbers
-from musclefit.progress import Progress
+from musclefit.progress import Progress, Tick
 
-LABELLED_VOLUME_PERCENT = 2.0
-"""A tissue whose tets fill its surface less exactly than this is reported as a finding, percent."""
-
-_INNERMOST_LAST = (TissueKind.SKIN, TissueKind.OTHER, TissueKind.MUSCLE, TissueKind.BONE)
+NO_SKIN = "no-skin"
+"""Code of the finding that there is no filler, because nothing says where it would end."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,12 +40,20 @@ class TetAnatomy:
     mesh : TetMesh
         One mesh for all tissues; neighbours share faces.
     tissue_of_tet : (k,) int64
-        Index into ``anatomy.tissues`` of the tissue each tet belongs to. Tets inside the skin but in no other tissue
-        belong to the skin, which so stands for everything that fills the room between the other tissues.
+        Index into ``anatomy.tissues`` of the tissue each tet belongs to. The skin's index stands for the filler: tets
+        inside the skin but in no other tissue.
     dropped : int, >= 0
         Tets that were inside no tissue and so were left out.
     findings : tuple of Finding
         Tissues without tets, or whose tets fill another volume than their surface encloses.
+    fits : tuple of TissueFit
+        How truly the tets fill the tissues and the filler; empty where nobody measured it.
+    turned : int, >= 0
+        Tets that came left-handed and had two corners swapped.
+    joint_space_tets : int, >= 0
+        Tets of filler between sliding bones that were left out.
+    joint_space_mm3 : float
+        Their volume.
 
     Raises
     ------
@@ -56,6 +66,10 @@ class TetAnatomy:
     tissue_of_tet: Int
     dropped: int
     findings: tuple[Finding, ...]
+    fits: tuple[TissueFit, ...] = ()
+    turned: int = 0
+    joint_space_tets: int = 0
+    joint_space_mm3: float = 0.0
 
     def __post_init__(self) -> None:
         labels = frozen(self.tissue_of_tet, np.int64)
@@ -65,21 +79,23 @@ class TetAnatomy:
             raise MeshError(
                 f"tet labels run from {labels.min()} to {labels.max()}, but the anatomy has {len(self.anatomy)} tissues"
             )
-        volumes = signed_volumes(self.mesh.vertices, self.mesh.tets)
-        if volumes.size and volumes.min() <= 0.0:
+        wrong = np.flatnonzero(orientations(self.mesh.vertices, self.mesh.tets) <= 0)
+        if wrong.size:
+            volumes = signed_volumes(self.mesh.vertices, self.mesh.tets[wrong])
             raise MeshError(
-                f"{(volumes <= 0.0).sum()} of {len(volumes)} tets are not right-handed at rest, the worst is number "
-                f"{volumes.argmin()} with {volumes.min():.6g} mm³; tetrahedralise with another edge length or envelope"
+                f"{wrong.size} of {len(labels)} tets are not right-handed at rest, the worst is number "
+                f"{wrong[volumes.argmin()]} with {volumes.min():.6g} mm³; tetrahedralise with another edge length or "
+                "envelope"
             )
         object.__setattr__(self, "tissue_of_tet", labels)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Tissue names in the order of the labels."""
-        return tuple(tissue.name for tissue in self.anatomy)
+        """Names in the order of the labels: of the tissues, and `layers.FILLER` in place of the skin."""
+        return tuple(FILLER if tissue.kind is TissueKind.SKIN else tissue.name for tissue in self.anatomy)
 
     def volumes_by_tissue(self) -> Float:
-        """Volume that the tets of each tissue fill, mm³, in the anatomy's order."""
+        """Volume that the tets of each label fill, mm³, in the order of ``names``."""
         volumes = signed_volumes(self.mesh.vertices, self.mesh.tets)
         return np.bincount(self.tissue_of_tet, weights=volumes, minlength=len(self.anatomy)).astype(np.float64)
 
@@ -87,23 +103,27 @@ class TetAnatomy:
 class Tetrahedraliser(Protocol):
     """Fills surfaces (n, 3) float64 mm, (f, 3) int64 with tetrahedra of one orientation, around and inside all of them.
 
-    Both fractions are of the bounding box's diagonal, as `tetrahedralise_with` takes them.
+    Both fractions are of the bounding box's diagonal, as `tetrahedralise_with` takes them; the sizing field asks for
+    shorter edges than the fraction, never for longer ones.
     """
 
     def __call__(
-        self, vertices: Points, faces: Faces, /, *, edge_length_fraction: float, envelope_fraction: float
+        self,
+        vertices: Points,
+        faces: Faces,
+        /,
+        *,
+        edge_length_fraction: float,
+        envelope_fraction: float,
+        sizing: SizingField,
+        tick: Tick,
     ) -> tuple[Points, Tets]:
         """(m, 3) vertices, mm, and (k, 4) tets."""
         ...
 
 
 def tetrahedralise_with(
-    fill: Tetrahedraliser,
-    anatomy: Anatomy,
-    *,
-    edge_length_fraction: float,
-    envelope_fraction: float,
-    progress: Progress,
+    fill: Tetrahedraliser, anatomy: Anatomy, *, rules: LayerRules, progress: Progress
 ) -> TetAnatomy:
     """Fill all tissues with tetrahedra in one go, and say which tet belongs to which tissue.
 
@@ -111,116 +131,132 @@ def tetrahedralise_with(
     ----------
     fill : Tetrahedraliser
     anatomy : Anatomy
-    edge_length_fraction : float in (0, 1]
-        Edge length aimed at, as a fraction of the bounding box's diagonal.
-    envelope_fraction : float in (0, 1]
-        How far the tets' surfaces may be from the tissues', as a fraction of the bounding box's diagonal.
+    rules : LayerRules
     progress : Progress
-        Is told the stages; the tetrahedraliser itself says nothing before it ends.
 
     Returns
     -------
     TetAnatomy
-        A tet belongs to the innermost tissue that winds around its barycentre: bone before muscle before other before
-        skin, and within a kind the smaller tissue.
+        A tet belongs to the first tissue, in the order of ``rules.priority``, that winds around its barycentre.
 
     Raises
     ------
     InputError
-        A fraction is out of range.
+        A rule is out of range or names no tissue, or a tissue has the filler's name.
     MeshError
         No tet lies in a tissue.
     """
-    for name, value in (("edge_length_fraction", edge_length_fraction), ("envelope_fraction", envelope_fraction)):
-        if not 0.0 < value <= 1.0:
-            raise InputError(f"{name} is {value}; give a fraction of the bounding box's diagonal, above 0 and up to 1")
-    with progress.stage("tetrahedralise"):
+    rules.require_sane(anatomy)
+    if any(tissue.name == FILLER for tissue in anatomy):
+        raise InputError(f"a tissue is named {FILLER!r}, which stands for the room between tissues and skin; rename it")
+    envelope = rules.smallest_envelope(anatomy)
+    with progress.stage("tetrahedralise") as tick:
         vertices, tets = fill(
             anatomy.vertices(),
-            _faces(anatomy),
-            edge_length_fraction=edge_length_fraction,
-            envelope_fraction=envelope_fraction,
+            surface_faces(anatomy),
+            edge_length_fraction=rules.edge_length_fraction,
+            envelope_fraction=envelope,
+            sizing=rules.sizing(anatomy),
+            tick=tick,
         )
-    if len(tets) and np.median(signed_volumes(vertices, tets)) < 0.0:
+    left_handed = signed_volumes(vertices, tets) < 0.0
+    turned = len(tets) if 2 * int(left_handed.sum()) > len(tets) else 0
+    if turned:
         tets = tets[:, [0, 2, 1, 3]]
     with progress.stage("label tets") as tick:
-        labels = np.full(len(tets), -1, dtype=np.int64)
-        barycentres, volumes = vertices[tets].mean(axis=1), signed_volumes(vertices, tets)
-        filled = np.zeros(len(anatomy))
-        for done, (index, tissue) in enumerate(_outermost_first(anatomy), start=1):
-            inside = _inside(tissue, barycentres)
-            labels[inside], filled[index] = index, volumes[inside].sum()
-            tick(done / len(anatomy))
+        return _labelled(anatomy, vertices, tets, rules=rules, turned=turned, tick=tick)
+
+
+def _labelled(
+    anatomy: Anatomy, vertices: Points, tets: Tets, *, rules: LayerRules, turned: int, tick: Tick
+) -> TetAnatomy:
+    barycentres, volumes = vertices[tets].mean(axis=1), signed_volumes(vertices, tets)
+    labels = np.full(len(tets), -1, dtype=np.int64)
+    inside: dict[int, Bool] = {}
+    for done, index in enumerate(reversed(rules.innermost_first(anatomy)), start=1):
+        inside[index] = _inside(anatomy.tissues[index], barycentres)
+        labels[inside[index]] = index
+        tick(0.3 * done / len(anatomy))
     kept = labels >= 0
     if not kept.any():
         raise MeshError(
             f"none of the {len(tets)} tets lies inside a tissue; the surfaces are open or inside out, or thinner than "
-            f"the envelope ({envelope_fraction} of the bounding box's diagonal)"
+            f"the envelope ({rules.smallest_envelope(anatomy):.3g} of the bounding box's diagonal)"
         )
+    fits = _fits(anatomy, vertices, tets, labels=labels, volumes=volumes, inside=inside, rules=rules, tick=tick)
     used = np.unique(tets[kept])
-    mesh = TetMesh(vertices[used], np.searchsorted(used, tets[kept]))
     return TetAnatomy(
         anatomy=anatomy,
-        mesh=mesh,
+        mesh=TetMesh(vertices[used], np.searchsorted(used, tets[kept])),
         tissue_of_tet=labels[kept],
         dropped=int((~kept).sum()),
-        findings=labelling_findings(anatomy, filled_mm3=filled, tissue_of_tet=labels[kept]),
+        findings=(*fit_findings(fits), *_no_skin(anatomy, dropped=int((~kept).sum()))),
+        fits=fits,
+        turned=turned,
     )
 
 
-def labelling_findings(anatomy: Anatomy, *, filled_mm3: Float, tissue_of_tet: Int) -> tuple[Finding, ...]:
-    """Tissues that got no tet, or whose tets fill another volume than their surface encloses.
-
-    Parameters
-    ----------
-    anatomy : Anatomy
-    filled_mm3 : (tissues,) float64
-        Volume of all tets that each tissue's surface winds around, those of tissues further in included.
-    tissue_of_tet : (k,) int64
-    """
-    findings = []
+def _fits(
+    anatomy: Anatomy,
+    vertices: Points,
+    tets: Tets,
+    *,
+    labels: Int,
+    volumes: Float,
+    inside: dict[int, Bool],
+    rules: LayerRules,
+    tick: Tick,
+) -> tuple[TissueFit, ...]:
+    """The skin first, then the filler, then the other tissues in their order."""
+    faces, diagonal = tet_faces(tets), diagonal_mm(anatomy)
+    found = []
     for index, tissue in enumerate(anatomy):
-        if not (tissue_of_tet == index).any():
-            findings.append(
-                Finding(
-                    tissue.name,
-                    "no-tets",
-                    f"{tissue.name} got no tet: it is thinner than the edge length or envelope allows, or lies wholly "
-                    "inside further inward tissues; choose a smaller edge_length_fraction or envelope_fraction",
-                )
+        own = labels == index
+        skin = tissue.kind is TissueKind.SKIN
+        taken = inside[index] if skin else own
+        envelope = rules.envelope_of(tissue, diagonal_mm=diagonal)
+        off, missed = None, None
+        if inside[index].any():
+            off, missed = surface_distances(tissue.surface, vertices, faces, inside=inside[index])
+        found.append(
+            TissueFit(
+                name=tissue.name,
+                kind=tissue.kind.value,
+                tets=int(taken.sum()),
+                volume_mm3=float(volumes[taken].sum()),
+                surface_mm3=enclosed_volume(tissue.surface),
+                inside_mm3=float(volumes[inside[index]].sum()),
+                envelope_mm=envelope,
+                off_mm=off,
+                missed_mm=missed,
             )
-            continue
-        enclosed = enclosed_volume(tissue.surface)
-        filled = float(filled_mm3[index])
-        percent = 100.0 * (filled - enclosed) / enclosed if enclosed else np.inf
-        if abs(percent) > LABELLED_VOLUME_PERCENT:
-            findings.append(
-                Finding(
-                    tissue.name,
-                    "tet-volume",
-                    f"the tets inside {tissue.name} fill {filled:.6g} mm³, {percent:+.1f} % off the {enclosed:.6g} mm³ "
-                    "of its surface; choose a smaller envelope_fraction",
-                )
-            )
-    return tuple(findings)
+        )
+        if skin:
+            found.append(TissueFit(FILLER, FILLER, int(own.sum()), float(volumes[own].sum())))
+        tick(0.3 + 0.7 * (index + 1) / len(anatomy))
+    return tuple(found)
 
 
-def _faces(anatomy: Anatomy) -> Faces:
+def _no_skin(anatomy: Anatomy, *, dropped: int) -> tuple[Finding, ...]:
+    """That there is no filler, where there is no skin to end it."""
+    if anatomy.skin is not None:
+        return ()
+    message = (
+        f"the anatomy has no skin, so nothing says where filler between the tissues would end: there is none, and "
+        f"{dropped} tets outside all tissues were left out"
+    )
+    return (Finding(FILLER, NO_SKIN, message),)
+
+
+def surface_faces(anatomy: Anatomy) -> Faces:
     """(F, 3) faces of all tissues, into ``anatomy.vertices()``."""
     starts = [part.start for part in anatomy.slices().values()]
     return np.concatenate([t.surface.faces + start for t, start in zip(anatomy, starts, strict=True)])
 
 
-def _outermost_first(anatomy: Anatomy) -> Sequence[tuple[int, Tissue]]:
-    """Index and tissue so that who comes later lies further in: by kind, then from large to small."""
-    return sorted(
-        enumerate(anatomy), key=lambda item: (_INNERMOST_LAST.index(item[1].kind), -enclosed_volume(item[1].surface))
-    )
-
-
-def _inside(tissue: Tissue, points: Points) -> Int:
-    """Indices of the points that a tissue's surface winds around."""
+def _inside(tissue: Tissue, points: Points) -> Bool:
+    """Which points a tissue's surface winds around."""
     corners = tissue.surface.vertices
-    near = np.flatnonzero(((points >= corners.min(axis=0)) & (points <= corners.max(axis=0))).all(axis=1))
-    inside: Int = near[winding_numbers(tissue.surface, points[near]) > 0.5]
+    inside: Bool = ((points >= corners.min(axis=0)) & (points <= corners.max(axis=0))).all(axis=1)
+    inside[inside] = winding_numbers(tissue.surface, points[inside]) > 0.5
     return inside

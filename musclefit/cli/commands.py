@@ -225,10 +225,17 @@ def _run(
         for finding in job.findings:
             if finding.code in TOLD_BEFORE:
                 stages.say(finding.message)
-        from musclefit.io.runs import prepared_tets, save
+        from musclefit.io.runs import planned_tets, prepared_tets, save
+        from musclefit.io.tet_cache import CACHE_FINDING
         from musclefit.pipeline.retarget import retarget
 
+        plan = None if no_tets else planned_tets(job)
+        if plan is not None:
+            stages.say(plan.in_words)
         tets = None if no_tets else prepared_tets(job, progress=stages)
+        for finding in tets.findings if tets is not None else ():
+            if finding.code == CACHE_FINDING:
+                stages.say(finding.message)
         result = retarget(job, tets=tets, progress=stages)
         report = save(result, out, seconds=stages.seconds, progress=stages)
     if json:

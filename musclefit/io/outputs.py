@@ -226,7 +226,7 @@ def labelled_tets(tets: DeformedTets) -> Any:
     grid.cell_data["volume_ratio"] = signed_volumes(tets.vertices, mesh.tets) / signed_volumes(mesh.vertices, mesh.tets)
     grid.point_data["displacement_mm"] = tets.vertices - mesh.vertices
     grid.point_data["rest_position_mm"] = np.array(mesh.vertices)
-    for index, safe in enumerate(file_names([tissue.name for tissue in tets.rest.anatomy]).values()):
+    for index, safe in enumerate(file_names(tets.rest.names).values()):
         grid.field_data[_escaped(safe)] = np.array([index, _SOLID], dtype=np.int64)
     return grid
 

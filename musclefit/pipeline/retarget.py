@@ -29,7 +29,7 @@ from musclefit.pipeline.deformers import (
     rule_in_words,
 )
 from musclefit.progress import Progress, Silent
-from musclefit.report.model import CONVERGED, Report, Side
+from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
 from musclefit.rig.model import JointDrive, StepKind
 from musclefit.validate.bones import first_collision
@@ -109,8 +109,22 @@ class Retargeting:
 
 
 def settings_of(job: Job) -> Mapping[str, Any]:
+            tets=None if self.tets is None else tet_summary(self.tets),
     """Every setting of the run, as plain values."""
     return {"rig": job.name, "overrides": list(job.overrides), **asdict(job.rig)}
+
+def tet_summary(tets: TetAnatomy) -> TetSummary:
+    """What the report says of the tets at rest."""
+    return TetSummary(
+        tets=len(tets.mesh.tets),
+        vertices=len(tets.mesh.vertices),
+        left_out=tets.dropped,
+        turned=tets.turned,
+        joint_space_tets=tets.joint_space_tets,
+        joint_space_mm3=tets.joint_space_mm3,
+        tissues=tets.fits,
+    )
+
 
 
 def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = None) -> Retargeting:

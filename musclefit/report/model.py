@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.fits import TissueFit
 from musclefit.anatomy.model import TissueKind
 from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.rig.model import Limits
@@ -89,6 +90,32 @@ class Side:
         return tuple(t for t in self.tissues if t.kind == kind)
 
 
+@dataclass(frozen=True, slots=True)
+class TetSummary:
+    """The tetrahedra at rest, held against the surfaces they were made from.
+
+    Parameters
+    ----------
+    tets, vertices : int
+    left_out : int
+        Tets made that lie in no tissue.
+    turned : int
+        Tets that came left-handed and had two corners swapped.
+    joint_space_tets, joint_space_mm3
+        Filler between sliding bones that was left out.
+    tissues : tuple of TissueFit
+        The filler among them.
+    """
+
+    tets: int
+    vertices: int
+    left_out: int
+    turned: int
+    joint_space_tets: int
+    joint_space_mm3: float
+    tissues: tuple[TissueFit, ...]
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Report:
     """One run: the result, what it is compared with, and whether it keeps its limits.
@@ -106,6 +133,8 @@ class Report:
     peak_memory_mb : float
     provenance : mapping
         Versions, hashes of the input, settings: text, numbers, booleans, None, and lists and mappings of these.
+    tets : TetSummary or None
+        None where no tetrahedra were made.
     """
 
     title: str
@@ -116,6 +145,7 @@ class Report:
     timings_s: Mapping[str, float]
     peak_memory_mb: float
     provenance: Mapping[str, Any]
+    tets: TetSummary | None = None
 
     @property
     def checks(self) -> tuple[Check, ...]:

@@ -70,7 +70,7 @@ _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
 }
 """Keys of the deformer that a backend has no use for."""
 
-_OPEN = ("anatomy.kinds", "drive.pose")
+_OPEN = ("anatomy.kinds", "drive.pose", "tets.edge_length_mm", "tets.envelope_mm")
 """Tables whose keys the user chooses."""
 
 
@@ -246,6 +246,9 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return section.numbers(key)
     if issubclass(hint, StrEnum):
         return section.choice(key, hint)
+    if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
+        lengths = section.section(key)
+        return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
     readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}
     return readers[hint](key)
 

@@ -593,11 +593,11 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
 
 def _as_toml(name: str, value: Any) -> str:
     if value == ():
-        return "{}" if name == "kinds" else "[]"
+        return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm") else "[]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
-        return repr(list(value))
+        return json.dumps(list(value))
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 

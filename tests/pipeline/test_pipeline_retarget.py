@@ -55,7 +55,7 @@ def run(rig: Path, *overrides: str) -> Retargeting:
 def test_report_json_holds_the_numbers_of_the_api(rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "stills", lambda *_, **__: Stills(problem="not in this test"))
     job = musclefit.read_rig(rig)
-    tets = musclefit.tetrahedralise(job.anatomy, edge_length_fraction=0.2, envelope_fraction=0.01)
+    tets = musclefit.tetrahedralise(job.anatomy, musclefit.LayerRules(0.2, 0.01))
     result = musclefit.retarget(job, tets=tets)
     returned = musclefit.save(result, tmp_path / "out", seconds={"march": 1.5})
     written = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))

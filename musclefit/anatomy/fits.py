@@ -1,0 +1,127 @@
+"""How truly tets fill tissues: volumes, and distances between their surfaces and those given; knows no motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from musclefit.anatomy.findings import Finding
+from musclefit.geometry.arrays import Bool, Points
+from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.tet_topology import TetFaces, interface
+
+LABELLED_VOLUME_PERCENT = 2.0
+"""A tissue whose tets fill its surface less exactly than this is reported as a finding, percent."""
+
+
+@dataclass(frozen=True, slots=True)
+class TissueFit:
+    """What a tissue got of the mesh.
+
+    Parameters
+    ----------
+    name : str
+        Of a tissue, or `layers.FILLER`.
+    kind : str
+        Of the tissue; "filler" for the filler.
+    tets : int
+        That are the tissue's own; for the skin, all inside it.
+    volume_mm3 : float
+        Of these.
+    surface_mm3 : float or None
+        Enclosed by the surface that was given; None for the filler.
+    inside_mm3 : float or None
+        Of all tets inside that surface, those that other tissues won included; None for the filler.
+    envelope_mm : float or None
+        How far the tets' surface may be from the given one.
+    off_mm : float or None
+        How far it is: the largest distance of a vertex or a middle of a triangle of the tets' surface from the given
+        one; None where there is no surface to compare.
+    missed_mm : float or None
+        The other way: of the given surface from the tets'.
+    """
+
+    name: str
+    kind: str
+    tets: int
+    volume_mm3: float
+    surface_mm3: float | None = None
+    inside_mm3: float | None = None
+    envelope_mm: float | None = None
+    off_mm: float | None = None
+    missed_mm: float | None = None
+
+    @property
+    def volume_error_percent(self) -> float | None:
+        """How much more the tets inside the given surface fill than it encloses, percent; None for the filler."""
+        if self.surface_mm3 is None or self.inside_mm3 is None or not self.surface_mm3:
+            return None
+        return 100.0 * (self.inside_mm3 - self.surface_mm3) / self.surface_mm3
+
+    @property
+    def yielded_mm3(self) -> float | None:
+        """Volume inside the tissue's surface that other tissues won; None for the filler."""
+        return None if self.inside_mm3 is None else self.inside_mm3 - self.volume_mm3
+
+
+def surface_distances(given: TriMesh, vertices: Points, faces: TetFaces, *, inside: Bool) -> tuple[float, float]:
+    """Hausdorff distances between the surface of some tets and the one that was given, both ways, mm.
+
+    Sampled at the vertices and the middles of the triangles, so never above the true distances.
+
+    Parameters
+    ----------
+    given : TriMesh
+    vertices : (n, 3) float64, mm
+    faces : TetFaces
+        Of the whole mesh.
+    inside : (k,) bool
+        The tets.
+
+    Returns
+    -------
+    off, missed : float
+        Tets' surface from the given one, and back.
+    """
+    triangles = interface(faces, np.flatnonzero(inside), count=len(inside))
+    used = np.unique(triangles)
+    filled = TriMesh(vertices[used], np.searchsorted(used, triangles))
+    return _largest(filled, given), _largest(given, filled)
+
+
+def _largest(surface: TriMesh, other: TriMesh) -> float:
+    samples = np.concatenate([surface.vertices, surface.corners().mean(axis=1)])
+    return float(nearest_places(samples, other).distances.max())
+
+
+def fit_findings(fits: tuple[TissueFit, ...]) -> tuple[Finding, ...]:
+    """Tissues that got no tet, or whose tets fill another volume than their surface encloses."""
+    findings = []
+    for fit in fits:
+        if fit.surface_mm3 is None:
+            continue
+        if not fit.tets:
+            findings.append(
+                Finding(
+                    fit.name,
+                    "no-tets",
+                    f"{fit.name} got no tet: it is thinner than the edge length or envelope allows, or lies wholly "
+                    "inside tissues that win over it; choose a smaller edge length or envelope for it, or another "
+                    "tets.priority",
+                )
+            )
+            continue
+        error = fit.volume_error_percent
+        if error is None or abs(error) > LABELLED_VOLUME_PERCENT:
+            said = "another volume than" if error is None else f"{error:+.1f} % off"
+            findings.append(
+                Finding(
+                    fit.name,
+                    "tet-volume",
+                    f"the tets inside {fit.name} fill {fit.inside_mm3:.6g} mm³, {said} the {fit.surface_mm3:.6g} mm³ "
+                    "of its surface; choose a smaller envelope for it",
+                )
+            )
+    return tuple(findings)

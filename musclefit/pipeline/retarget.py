@@ -105,13 +105,9 @@ class Retargeting:
             timings_s={},
             peak_memory_mb=float("nan"),
             provenance={"input_sha256": dict(self.job.hashes), "settings": settings_of(self.job)},
+            tets=None if self.tets is None else tet_summary(self.tets),
         )
 
-
-def settings_of(job: Job) -> Mapping[str, Any]:
-            tets=None if self.tets is None else tet_summary(self.tets),
-    """Every setting of the run, as plain values."""
-    return {"rig": job.name, "overrides": list(job.overrides), **asdict(job.rig)}
 
 def tet_summary(tets: TetAnatomy) -> TetSummary:
     """What the report says of the tets at rest."""
@@ -125,6 +121,10 @@ def tet_summary(tets: TetAnatomy) -> TetSummary:
         tissues=tets.fits,
     )
 
+
+def settings_of(job: Job) -> Mapping[str, Any]:
+    """Every setting of the run, as plain values."""
+    return {"rig": job.name, "overrides": list(job.overrides), **asdict(job.rig)}
 
 
 def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = None) -> Retargeting:

@@ -53,6 +53,19 @@ def slope_matrix(t0, t1, out):
 
 
 @njit(cache=True)
+def derivative_matrix(t0, t1, spacing, out):
+    """(4, 4): cubic Bernstein coefficients over [t0, t1] of the derivative, from the spline's own coefficients.
+
+    By their three differences; each row's absolute values sum to at most 2 / spacing.
+    """
+    slopes = np.empty((4, 4))
+    slope_matrix(t0, t1, slopes)
+    for row in range(4):
+        a, b, c = slopes[row, 0] / spacing, slopes[row, 1] / spacing, slopes[row, 2] / spacing
+        out[row, 0], out[row, 1], out[row, 2], out[row, 3] = -a, a - b, b - c, c
+
+
+@njit(cache=True)
 def _product(a, b, out):
     for i in range(a.shape[0]):
         for j in range(b.shape[1]):
@@ -90,3 +103,31 @@ def contract(values, first, second, third, flat, spare, out):
             a, b, c, d = out[i, j, 0], out[i, j, 1], out[i, j, 2], out[i, j, 3]
             for k in range(4):
                 out[i, j, k] = third[k, 0] * a + third[k, 1] * b + third[k, 2] * c + third[k, 3] * d
+
+
+@njit(cache=True)
+def along_first(matrix, values, out):
+    """Apply a (4, 4) matrix along the first axis of a (4, 4, 4) array, flat as all of them here."""
+    for i in range(4):
+        a, b, c, d = matrix[i, 0], matrix[i, 1], matrix[i, 2], matrix[i, 3]
+        for r in range(16):
+            out[16 * i + r] = a * values[r] + b * values[16 + r] + c * values[32 + r] + d * values[48 + r]
+
+
+@njit(cache=True)
+def along_second(matrix, values, out):
+    """The same along the second axis."""
+    for j in range(4):
+        a, b, c, d = matrix[j, 0], matrix[j, 1], matrix[j, 2], matrix[j, 3]
+        for i in range(4):
+            for k in range(16 * i, 16 * i + 4):
+                out[4 * j + k] = a * values[k] + b * values[4 + k] + c * values[8 + k] + d * values[12 + k]
+
+
+@njit(cache=True)
+def along_third(matrix, values, out):
+    """The same along the third axis."""
+    for r in range(0, 64, 4):
+        a, b, c, d = values[r], values[r + 1], values[r + 2], values[r + 3]
+        for k in range(4):
+            out[r + k] = matrix[k, 0] * a + matrix[k, 1] * b + matrix[k, 2] * c + matrix[k, 3] * d

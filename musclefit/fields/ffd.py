@@ -196,20 +196,21 @@ class FfdField:
 
         For every x in box b, each component i of the displacement is within ``radii[b, i]`` of ``values[b, i]``.
         """
-        gradients, found = self._bounds(centres, half_widths, strain=False)
-        values = self.displacement(centres)
+        where = self._accepted(centres)
+        values, slopes = self._affine(where), np.abs(self.linear)
+        for level in self.levels:
+            bsplines.spline_sum(*level.in_space(), where, values)
+            # The splines' absolute slopes sum to at most 1.5 per cell, the splines themselves to 1.
+            slopes = slopes + 2.0 * np.abs(level.coefficients).max(initial=0.0) / level.lattice.spacing
         sizes = [float(np.abs(level.coefficients).max(initial=0.0)) for level in self.levels]
         corners = [float(np.abs(level.lattice.low).max()) for level in self.levels]
         # Rounding: of places, carried by the gradient; of 64 positive weights that sum to 1; of the affine part.
         reach = np.abs(centres) + half_widths + max([float(np.abs(self.origin).max()), *corners])
-        slopes = (
-            np.abs(gradients)
-            + found[:, :1, None]
-            + sum(4.0 * size / level.lattice.spacing.min() for size, level in zip(sizes, self.levels, strict=True))
-        )
         affine = np.abs(self.translation) + reach @ np.abs(self.linear).T
-        radii = np.einsum("bik,bk->bi", np.abs(gradients) + found[:, :1, None], half_widths) * (1.0 + 1e-14)
-        radii += 4e-15 * np.einsum("bik,bk->bi", slopes, reach) + 4e-14 * sum(sizes) + 4e-15 * affine
+        radii = 4e-15 * np.einsum("ik,bk->bi", slopes, reach) + 4e-14 * sum(sizes) + 4e-15 * affine
+        if half_widths.any():
+            gradients, found = self._bounds(centres, half_widths, strain=False)
+            radii += np.einsum("bik,bk->bi", np.abs(gradients) + found[:, :1, None], half_widths) * (1.0 + 1e-14)
         return values, np.asarray(radii, dtype=np.float64)
 
     def scaled(self, factor: float) -> Self:

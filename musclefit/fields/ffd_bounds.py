@@ -27,8 +27,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from musclefit.fields.bernstein import contract, slope_matrix, value_matrix
-from musclefit.fields.eigenvalues import eigenvalue_floor
+from musclefit.fields.bernstein import along_first, along_second, along_third, derivative_matrix, value_matrix
+from musclefit.fields.eigenvalues import NORM_ROUNDING, ceiling_of_hull, floor_of, largest_norm, norm_ceiling
 
 MAX_PARTS = 125
 """A box that is cut into more parts than this by the knots gets the coarse bound."""
@@ -40,34 +40,6 @@ ROUNDING = 1e-13
 """Proved rounding, in units of the largest coefficient over the smallest spacing, of one entry of a derivative (fewer
 than 200 operations of 1.2e-16 each); and, times coordinates over the spacing, of its places (8 operations, each of
 which moves a second derivative of at most 4 such units per spacing), with a wide margin."""
-
-NORM_ROUNDING = 1.0 + 1e-13
-"""The norm's own rounding: powers and roots of sums of at most 9 positive terms."""
-
-
-@njit(cache=True)
-def _norm(m, n):
-    """Upper bound of the spectral norm of the leading (n, n) block: eighth root of tr (m^T m)^4."""
-    largest = 0.0
-    for i in range(n):
-        for j in range(n):
-            largest = max(largest, abs(m[i, j]))
-    if largest == 0.0:
-        return 0.0
-    a, b = np.zeros((3, 3)), np.zeros((3, 3))
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                a[i, j] += (m[k, i] / largest) * (m[k, j] / largest)
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                b[i, j] += a[i, k] * a[k, j]
-    trace = 0.0
-    for i in range(n):
-        for j in range(n):
-            trace += b[i, j] * b[i, j]
-    return largest * trace**0.125 * NORM_ROUNDING
 
 
 @njit(cache=True)
@@ -107,7 +79,7 @@ def _cell_at(lattices, level, n, middle, cell):
 @njit(cache=True)
 def _gradient_at(lattices, linear, n, place, work, gradient):
     """Write the gradient at a place; gives its rounding."""
-    block, weights, slopes, cell = work[0], work[4], work[5], work[6]
+    block, weights, slopes, cell = work[0], work[1], work[2], work[3]
     depth, rounding, reach = 1 if n == 2 else 4, 0.0, 0.0
     for axis in range(n):
         reach = max(reach, abs(place[axis]))
@@ -172,9 +144,8 @@ def _coefficient(lattices, level, i, j, k, c, n):
 @njit(cache=True)
 def _add_level(lattices, level, n, low, high, hull, work):
     """Add one level over low..high, mm, within one of its cells; gives the largest coefficient."""
-    block, differences, column, spare, slopes, values, cell = work
+    block, slopes, values, cell, lanes = work[0], work[1], work[2], work[3], work[4]
     corner, spacing = lattices[0][level], lattices[1][level]
-    depth = 1 if n == 2 else 4
     if not _cell_at(lattices, level, n, 0.5 * (low + high), cell):
         return 0.0
     largest = _block(lattices, level, n, cell, block)
@@ -184,37 +155,35 @@ def _add_level(lattices, level, n, low, high, hull, work):
         t0 = min(max((low[axis] - corner[axis]) / spacing[axis] - cell[axis], 0.0), 1.0)
         t1 = min(max((high[axis] - corner[axis]) / spacing[axis] - cell[axis], t0), 1.0)
         value_matrix(t0, t1, values[axis])
-        slope_matrix(t0, t1, slopes[axis])
-    for axis in range(n):
-        first = slopes[0] if axis == 0 else values[0]
-        second = slopes[1] if axis == 1 else values[1]
-        third = slopes[2] if axis == 2 else values[2]
-        di, dj, dk = int(axis == 0), int(axis == 1), int(axis == 2)
-        for c in range(n):
-            for i in range(4 - di):
-                for j in range(4 - dj):
-                    for k in range(depth - dk):
-                        differences[i, j, k] = (block[c, i + di, j + dj, k + dk] - block[c, i, j, k]) / spacing[axis]
-            contract(differences, first, second, third, n == 2, spare, column)
-            for i in range(4):
-                for j in range(4):
-                    for k in range(depth):
-                        hull[i, j, k, c, axis] += column[i, j, k]
+        derivative_matrix(t0, t1, spacing[axis], slopes[axis])
+    third, third_slope, both, out = lanes[0], lanes[1], lanes[2], lanes[3]
+    for c in range(n):
+        coefficients = block[c].reshape(64)
+        if n == 3:
+            along_third(values[2], coefficients, third)
+            along_third(slopes[2], coefficients, third_slope)
+            along_second(values[1], third_slope, both)
+            along_first(values[0], both, out)
+            hull[3 * c + 2] += out
+        else:  # one layer: every place along the third axis alike
+            for r in range(64):
+                third[r] = coefficients[r - r % 4]
+        along_second(values[1], third, both)
+        along_first(slopes[0], both, out)
+        hull[3 * c] += out
+        along_second(slopes[1], third, both)
+        along_first(values[0], both, out)
+        hull[3 * c + 1] += out
     return largest
 
 
 @njit(cache=True)
 def _hull(lattices, linear, n, low, high, hull, work):
-    """Gradient coefficients of the whole field over a part that no knot cuts; gives its rounding."""
+    """Gradient coefficients (9, 64) of the whole field over a part that no knot cuts; gives its rounding."""
     rounding = 0.0
-    for i in range(4):
-        for j in range(4):
-            for k in range(4):
-                for c in range(n):
-                    for axis in range(n):
-                        hull[i, j, k, c, axis] = linear[c, axis]
     for c in range(n):
         for axis in range(n):
+            hull[3 * c + axis] = linear[c, axis]
             rounding = max(rounding, 1e-15 * abs(linear[c, axis]))
     reach = 0.0
     for axis in range(n):
@@ -282,64 +251,33 @@ def _coarse_radius(lattices, n, low, high, centre):
                         worst = max(worst, size)
             square += worst
         total += np.sqrt(square) * NORM_ROUNDING + n * ROUNDING * largest / finest
-    return total + _norm(centre, n)
+    return total + norm_ceiling(centre)
 
 
 @njit(cache=True)
 def _work():
     return (
         np.zeros((3, 4, 4, 4)),
-        np.zeros((4, 4, 4)),
-        np.zeros((4, 4, 4)),
-        np.zeros((4, 4, 4)),
         np.zeros((3, 4, 4)),
         np.zeros((3, 4, 4)),
         np.zeros(3, np.int64),
+        np.zeros((4, 64)),
+        np.zeros(64, np.bool_),
     )
 
 
 @njit(cache=True)
-def _floor_of(m, n, sign):
-    """A number that no eigenvalue of sign times the symmetric part of m is below."""
-    a, b, d = sign * m[0, 0], sign * m[1, 1], 0.5 * sign * (m[0, 1] + m[1, 0])
-    if n == 2:  # a third eigenvalue a, which is no smaller than the smallest
-        return eigenvalue_floor(a, b, a, d, 0.0, 0.0)
-    e, f = 0.5 * sign * (m[0, 2] + m[2, 0]), 0.5 * sign * (m[1, 2] + m[2, 1])
-    return eigenvalue_floor(a, b, sign * m[2, 2], d, e, f)
-
-
-@njit(cache=True)
-def _gershgorin(m, n, sign):
-    """A cheap lower bound of the same."""
-    least = np.inf
-    for i in range(n):
-        off = 0.0
-        for j in range(n):
-            if j != i:
-                off += 0.5 * abs(m[i, j] + m[j, i])
-        least = min(least, sign * m[i, i] - off)
-    return least - 1e-14 * abs(least)
-
-
-@njit(cache=True)
-def _judge(hull, n, centre, strain, found):
+def _judge(hull, n, centre, strain, found, work):
     """Widen ``found`` by one part: [radius] of the distance from the centre, or [-lowest, highest] eigenvalue."""
-    depth = 1 if n == 2 else 4
-    difference = np.empty((3, 3))
-    for i in range(4):
-        for j in range(4):
-            for k in range(depth):
-                m = hull[i, j, k]
-                if strain:
-                    for end in range(2):
-                        sign = 1.0 if end == 0 else -1.0
-                        if -_gershgorin(m, n, sign) > found[end]:
-                            found[end] = max(found[end], -_floor_of(m, n, sign))
-                else:
-                    for c in range(n):
-                        for axis in range(n):
-                            difference[c, axis] = m[c, axis] - centre[c, axis]
-                    found[0] = max(found[0], _norm(difference, n))
+    lanes, clear = work[4][0], work[5]
+    if not np.isfinite(hull.sum()):  # proves nothing
+        found[:] = np.inf
+        return
+    if not strain:
+        found[0] = max(found[0], largest_norm(hull, centre, lanes))
+        return
+    found[0] = ceiling_of_hull(hull, n, 1.0, found[0], clear)
+    found[1] = ceiling_of_hull(hull, n, -1.0, found[1], clear)
 
 
 @njit(parallel=True, cache=True)
@@ -352,7 +290,7 @@ def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found)
     """
     count, n = centres.shape
     for box in prange(count):
-        work, hull = _work(), np.zeros((4, 4, 4, 3, 3))
+        work, hull = _work(), np.zeros((9, 64))
         low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
         centre = np.zeros((3, 3))
         own = _gradient_at(lattices, linear, n, centres[box], work, centre)
@@ -371,8 +309,8 @@ def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found)
             radius = _coarse_radius(lattices, n, low, high, difference)
             best[:] = radius
             if strain:
-                best[0] = radius - _floor_of(centre, n, 1.0)
-                best[1] = radius - _floor_of(centre, n, -1.0)
+                best[0] = radius - floor_of(centre, n, 1.0)
+                best[1] = radius - floor_of(centre, n, -1.0)
         else:
             a, b = np.zeros(3), np.zeros(3)
             for part in range(parts):
@@ -381,7 +319,7 @@ def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found)
                     a[axis], b[axis] = knots[axis, rest % counts[axis]], knots[axis, rest % counts[axis] + 1]
                     rest //= counts[axis]
                 rounding = max(rounding, own + _hull(lattices, linear, n, a, b, hull, work))
-                _judge(hull, n, centre, strain, best)
+                _judge(hull, n, centre, strain, best, work)
         if strain:
             found[box, 0], found[box, 1] = best[0] + rounding, best[1] + rounding
         else:

@@ -3,35 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
+from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
+from musclefit.anatomy.layers import LayerRules
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.figures.panels import Marks
 from musclefit.figures.stills import stills
+from musclefit.flow.bones import moving_together, poses_on_the_way
 from musclefit.io.outputs import DeformedTets, write_run
 from musclefit.io.provenance import measured
-from musclefit.io.tet_cache import TetCache, default_cache_folder
+from musclefit.io.tet_cache import TetCache, TetPlan, default_cache_folder, default_limit_mb
 from musclefit.pipeline.retarget import Outcome, Retargeting
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import FurtherPoints, Job
+from musclefit.rig.model import TetSettings
+
+
+def planned_tets(job: Job) -> TetPlan | None:
+    """What `prepared_tets` will take, before it starts; None where the rig switches the tetrahedra off."""
+    return _cache().plan(job.anatomy, layer_rules(job.rig.tets)) if job.rig.tets.enabled else None
 
 
 def prepared_tets(job: Job, *, progress: Progress | None = None) -> TetAnatomy | None:
     """The anatomy's tetrahedra, from the cache or made now; None where the rig switches them off.
+
+    Joint space between bones that the job holds rigid and slides past each other is left out.
 
     Raises
     ------
     InputError, MeshError
         The anatomy cannot be tetrahedralised.
     """
-    if not job.rig.tets.enabled:
+    settings = job.rig.tets
+    if not settings.enabled:
         return None
-    cache = TetCache(default_cache_folder())
-    tets, _ = cache.tetrahedralise(job.anatomy, job.rig.tets, progress=progress or Silent())
-    return tets
+    progress = progress or Silent()
+    tets, _ = _cache().tetrahedralise(job.anatomy, layer_rules(settings), progress=progress)
+    if not job.rig.bones.rigid or job.motions is None or not settings.joint_space_mm:
+        return tets
+    with progress.stage("joint space"):
+        poses = poses_on_the_way(job.motions)
+        sliding = SlidingBones(moving_together(job.anatomy, poses), poses)
+        return without_joint_space(tets, sliding, zone_mm=settings.joint_space_mm)
+
+
+def layer_rules(settings: TetSettings) -> LayerRules:
+    """What the settings of a rig ask of a mesh."""
+    return LayerRules(**{field.name: getattr(settings, field.name) for field in fields(LayerRules)})
+
+
+def _cache() -> TetCache:
+    return TetCache(default_cache_folder(), limit_mb=default_limit_mb())
 
 
 def save(

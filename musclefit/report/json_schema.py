@@ -19,6 +19,10 @@ def report_schema() -> Schema:
         "schema_version": {"const": SCHEMA_VERSION, "description": "Version of these keys and their meaning."},
         "title": _text("Title of the rig."),
         **side,
+        "tets": {
+            "description": "The tetrahedra at rest; null where none were made.",
+            "oneOf": [_tets(), {"type": "null"}],
+        },
         "findings": _list(_finding(), "What was found in the input; no part of the verdict."),
         "baseline": {
             "description": "The same keys for the method compared with, held against the same limits; null where none "
@@ -171,6 +175,39 @@ def _mesh() -> Schema:
         "inverted_by_tissue": _list(_record(by_tissue, "One tissue."), "Where the inverted tetrahedra are."),
     }
     return _record(properties, "The deformed tetrahedra.")
+
+
+def _tets() -> Schema:
+    space = {"tets": _count("Tetrahedra left out."), "volume_mm3": _number("Their volume, mm³.")}
+    properties = {
+        "tets": _count("Tetrahedra."),
+        "vertices": _count("Their vertices."),
+        "left_out": _count("Tetrahedra made that lie in no tissue."),
+        "turned": _count("Tetrahedra that came left-handed and had two corners swapped."),
+        "joint_space": _record(space, "Filler between bones that slide past each other, left out of the mesh."),
+        "tissues": _list(_fit(), "What each tissue got of the mesh; the skin stands for all, the filler for the rest."),
+    }
+    return _record(properties, "The tetrahedra at rest, held against the surfaces they were made from.")
+
+
+def _fit() -> Schema:
+    no_filler = "null for the filler"
+    properties = {
+        "name": _text("Name of the tissue."),
+        "kind": {"enum": ["skin", "filler", "other", "muscle", "bone"], "description": "What the tissue is."},
+        "tets": _count("Tetrahedra that are the tissue's own; for the skin, all inside it."),
+        "volume_mm3": _number("Their volume, mm³."),
+        "surface_mm3": _number(f"Volume that the given surface encloses, mm³; {no_filler}."),
+        "inside_mm3": _number(f"Volume of all tetrahedra inside the given surface, mm³; {no_filler}."),
+        "volume_error_percent": _number(f"How much more these fill than the surface encloses, percent; {no_filler}."),
+        "yielded_mm3": _number(f"Volume inside the surface that tissues won that come first, mm³; {no_filler}."),
+        "envelope_mm": _number(f"How far the tetrahedra's surface may be from the given one, mm; {no_filler}."),
+        "off_mm": _number(
+            f"Largest distance of the tetrahedra's surface from the given one, sampled, mm; {no_filler}."
+        ),
+        "missed_mm": _number(f"Largest distance of the given surface from the tetrahedra's, sampled, mm; {no_filler}."),
+    }
+    return _record(properties, "One tissue in the mesh at rest.")
 
 
 def _tissue() -> Schema:

@@ -7,12 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.fits import TissueFit
 from musclefit.report.json_schema import mesh_report_schema, report_schema
 from musclefit.report.model import (
     SCHEMA_VERSION,
     MeshReport,
     Report,
     Side,
+    TetSummary,
     TissueSummary,
     checks_against,
     total_overlap,
@@ -42,6 +44,7 @@ def to_json(report: Report | MeshReport) -> Json:
         "schema_version": SCHEMA_VERSION,
         "title": report.title,
         **_side(report.result, report.limits),
+        "tets": None if report.tets is None else _tets(report.tets),
         "findings": [_finding(f) for f in report.findings],
         "baseline": None if report.baseline is None else _side(report.baseline, report.limits),
         "timings_s": {name: _number(seconds) for name, seconds in report.timings_s.items()},
@@ -138,6 +141,33 @@ def _mesh(found: MeshCheck) -> Json:
         "max_volume_ratio": _number(found.max_volume_ratio),
         "claim": found.claim.value,
         "inverted_by_tissue": [{"name": name, "inverted": int(count)} for name, count in found.inverted_by_tissue],
+    }
+
+
+def _tets(found: TetSummary) -> Json:
+    return {
+        "tets": int(found.tets),
+        "vertices": int(found.vertices),
+        "left_out": int(found.left_out),
+        "turned": int(found.turned),
+        "joint_space": {"tets": int(found.joint_space_tets), "volume_mm3": _number(found.joint_space_mm3)},
+        "tissues": [_fit(fit) for fit in found.tissues],
+    }
+
+
+def _fit(found: TissueFit) -> Json:
+    return {
+        "name": found.name,
+        "kind": found.kind,
+        "tets": int(found.tets),
+        "volume_mm3": _number(found.volume_mm3),
+        "surface_mm3": _number(found.surface_mm3),
+        "inside_mm3": _number(found.inside_mm3),
+        "volume_error_percent": _number(found.volume_error_percent),
+        "yielded_mm3": _number(found.yielded_mm3),
+        "envelope_mm": _number(found.envelope_mm),
+        "off_mm": _number(found.off_mm),
+        "missed_mm": _number(found.missed_mm),
     }
 
 

@@ -10,8 +10,10 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from itertools import pairwise
 
+from musclefit.anatomy.layers import Gaps
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.rig.motion import Interpolation
 
 
 class Unit(StrEnum):
@@ -131,7 +133,8 @@ class JointDrive:
     """Bone landmarks moved by joints: from a file, or ("") ``landmarks_per_bone`` spread over each bone.
 
     ``pose`` holds joint names with their angles in degrees; joints that it leaves out stay at rest. ``units`` is the
-    length unit of a landmark file that states none; the file of joints states its own.
+    length unit of a landmark file that states none; the file of joints states its own. ``motion`` is a file of
+    keyframes that a sequence follows in ``frames`` poses, evenly spaced in time, by ``interpolation``.
 
     Raises
     ------
@@ -144,8 +147,13 @@ class JointDrive:
     landmarks: str = ""
     landmarks_per_bone: int = 8
     units: Unit = Unit.MILLIMETRE
+    motion: str = ""
+    interpolation: Interpolation = Interpolation.CUBIC
+    frames: int = 30
 
     def __post_init__(self) -> None:
+        if self.frames < 2:
+            raise RigError(f"drive.frames: found {self.frames}; expected at least 2, the first and the last pose")
         if not self.pose:
             raise RigError("drive.pose: names no joint; give at least one, for example pose = { elbow_deg = 75 }")
         for joint, degrees in self.pose:
@@ -277,17 +285,27 @@ class CertificateSettings:
 
 @dataclass(frozen=True, slots=True)
 class TetSettings:
-    """Tetrahedralisation; lengths as fractions of the bounding-box diagonal, as pytetwild takes them.
+    """Tetrahedralisation, as `anatomy.layers.LayerRules` says it; fractions are of the bounding box's diagonal.
+
+    Filler between bones that slide past each other is left out where it is within ``joint_space_mm`` of both, if the
+    rig holds bones rigid; 0 leaves none out.
 
     Raises
     ------
     RigError
-        A fraction that is not between 0 and 1.
+        A fraction that is not between 0 and 1, a length that is not positive and finite, or a negative joint space.
     """
 
     enabled: bool = True
     edge_length_fraction: float = 0.03
     envelope_fraction: float = 7e-4
+    edge_length_mm: tuple[tuple[str, float], ...] = ()
+    envelope_mm: tuple[tuple[str, float], ...] = ()
+    priority: tuple[str, ...] = (TissueKind.BONE.value, TissueKind.MUSCLE.value, TissueKind.OTHER.value)
+    gaps: Gaps = Gaps.NONE
+    gap_ratio: float = 4.0
+    gap_edge_mm: float = 2.0
+    joint_space_mm: float = 4.0
 
     def __post_init__(self) -> None:
         for key in ("edge_length_fraction", "envelope_fraction"):
@@ -297,6 +315,13 @@ class TetSettings:
                     f"tets.{key}: found {value}; expected a fraction of the bounding-box diagonal between 0 and 1, "
                     "both excluded"
                 )
+        own = [(f"edge_length_mm.{name}", length) for name, length in self.edge_length_mm]
+        own += [(f"envelope_mm.{name}", length) for name, length in self.envelope_mm]
+        for key, length in (*own, ("gap_ratio", self.gap_ratio), ("gap_edge_mm", self.gap_edge_mm)):
+            if not 0.0 < length < math.inf:
+                raise RigError(f"tets.{key}: found {length}; expected a finite number above 0")
+        if not 0.0 <= self.joint_space_mm < math.inf:
+            raise RigError(f"tets.joint_space_mm: found {self.joint_space_mm}; expected a finite length of at least 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from types import MappingProxyType
 
 import numpy as np
 
+from musclefit.anatomy.model import TissueKind
+from musclefit.errors import RigError
 from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
 from musclefit.flow.deformation import Deformation
+from musclefit.flow.kept import KeptBone, keeping_bones, kept_bones
 from musclefit.flow.march import Pace, march, one_shot, points_beside
 from musclefit.flow.rules import rule_for
 from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
@@ -22,7 +26,8 @@ from musclefit.geometry.distances import thinned
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles
 from musclefit.rig.job import Job
-from musclefit.rig.model import BackendKind, DeformerSettings, Kernel, StepKind, TestedAt
+from musclefit.rig.model import BackendKind, BoneLimit, DeformerSettings, Kernel, StepKind, TestedAt
+from musclefit.rig.section import suggestion
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
     {StepKind.EXPLICIT: explicit_step, StepKind.CAYLEY: cayley_step}
@@ -35,10 +40,14 @@ SAMPLED_MM = 3.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Deformed:
-    """A deformation and the groups of bones it was brought to agree with (none where bones are not held)."""
+    """A deformation and the bones it was brought to agree with: groups that joints move, and single ones that are kept.
+
+    Both are empty where bones are not held.
+    """
 
     deformation: Deformation
     groups: tuple[RigidGroup, ...]
+    kept: tuple[KeptBone, ...] = ()
 
 
 def backend_for(settings: DeformerSettings) -> Backend:
@@ -67,7 +76,41 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
         return Deformed(march(stepper, rule=rule, tested=tested, pace=pace, progress=progress), tuple(stepper.groups))
     tested = points if settings.tested_at is TestedAt.ALL_POINTS else points_beside(job.handles.source)
     plain = HandleStepper(job.path, backend_for(settings), HANDLE_STEPS[settings.step])
-    return Deformed(march(plain, rule=rule, tested=tested, pace=pace, progress=progress), ())
+    free = march(plain, rule=rule, tested=tested, pace=pace, progress=progress)
+    limits = bone_limits(job)
+    if not limits:
+        return Deformed(free, ())
+    bones = job.rig.bones
+    kept = kept_bones(job.anatomy, free, limits=limits, contact_zone_mm=bones.contact_zone_mm)
+    held = keeping_bones(
+        free,
+        kept,
+        handles=job.handles.source,
+        tested=points,
+        supports_mm=bones.supports_mm,
+        pace=Pace(settings.max_steps, 1, settings.limit_share),
+        progress=progress,
+    )
+    return Deformed(held, (), kept)
+
+
+def bone_limits(job: Job) -> Mapping[str, BoneLimit]:
+    """The bones that the rig keeps from deforming freely; the stricter limit counts.
+
+    Raises
+    ------
+    RigError
+        A name or pattern that fits no bone.
+    """
+    bones = [tissue.name for tissue in job.anatomy.of_kind(TissueKind.BONE)]
+    found: dict[str, BoneLimit] = {}
+    for limit, key in ((BoneLimit.SIMILAR, "keep_similar"), (BoneLimit.RIGID, "keep_rigid")):
+        for pattern in getattr(job.rig.bones, key):
+            fits = [bone for bone in bones if fnmatchcase(bone, pattern)]
+            if not fits:
+                raise RigError(f"{job.source}: bones.{key}: {pattern!r} fits no bone; {suggestion(pattern, bones)}")
+            found.update(dict.fromkeys(fits, limit))
+    return found
 
 
 def deform_in_one_shot(job: Job, points: Points) -> Deformation:
@@ -87,6 +130,8 @@ def method_in_words(job: Job) -> str:
     settings = job.rig.deformer
     name = "iterative {} (Yu et al. 2014)" if settings.step is StepKind.EXPLICIT else "implicit midpoint {}"
     bones = ", rigid bones" if job.rig.bones.rigid else ""
+    if job.rig.bones.keep_rigid or job.rig.bones.keep_similar:
+        bones = ", bones kept"
     field = field_in_words(settings)
     return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {settings.path.value} paths"
 

@@ -16,6 +16,7 @@ from musclefit.certify.maps import certify_map
 from musclefit.errors import InputError
 from musclefit.flow.bones import contact_residuals, exposed_residuals
 from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.kept import KeptBone, kept_residuals
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surfaces import Carried, carried, carried_finely
 from musclefit.geometry.arrays import Float, Points
@@ -23,6 +24,7 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.deformers import (
     Deformed,
     baseline_in_words,
+    bone_limits,
     deform,
     deform_in_one_shot,
     method_in_words,
@@ -31,14 +33,14 @@ from musclefit.pipeline.deformers import (
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import JointDrive, StepKind
+from musclefit.rig.model import BoneLimit, JointDrive, StepKind
 from musclefit.validate.bones import first_collision
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
 from musclefit.validate.model import BoneFieldCheck, MapCheck, MapClaim
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets
-from musclefit.validate.tissues import check_tissues
+from musclefit.validate.tissues import Motion, check_tissues
 
 COLLISION_POSES = 12
 """Poses on the way at which bones are tested for running into each other."""
@@ -148,6 +150,7 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
         pose and the depth.
     """
     progress = progress or Silent()
+    bone_limits(job)  # refuses names that fit no bone before the long work
     if job.rig.bones.rigid:
         _refuse_colliding_bones(job, progress)
     solids = solid_anatomy(job.anatomy, progress=progress)
@@ -155,12 +158,13 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     result = deform(job, points, progress=progress)
     baseline = Deformed(deform_in_one_shot(job, points), ())
     finish = _Finisher(job, solids, tets, progress)
+    kept = _kept_findings(result)
     return Retargeting(
         job=job,
         tets=tets,
         result=finish(result, method=method_in_words(job), stage="check result"),
         baseline=finish(baseline, method=baseline_in_words(job), stage="check baseline"),
-        findings=(*job.findings, *(tets.findings if tets is not None else ())),
+        findings=(*job.findings, *kept, *(tets.findings if tets is not None else ())),
     )
 
 
@@ -209,7 +213,7 @@ class _Finisher:
                 landmarks=landmarks,
                 map=self._map(deformation, moved, rule),
                 mesh=None if self.tets is None or tet_vertices is None else check_tets(self.tets, tet_vertices),
-                tissues=check_tissues(moved.rest, moved.deformed, motions=_final_motions(job), outside=outside),
+                tissues=check_tissues(moved.rest, moved.deformed, motions=_motions(job, deformed), outside=outside),
                 overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
                 steps_rejected=deformation.rejected,
                 edges_split=sum(moved.splits.values()),
@@ -221,7 +225,7 @@ class _Finisher:
 
     def _moved(self, deformed: Deformed) -> Carried:
         """The tissues moved by the map, finely where the rig says so; bones that are held, by their rigid motions."""
-        held = [bone for group in deformed.groups for bone in group.bones]
+        held = [*(b for group in deformed.groups for b in group.bones), *(bone.name for bone in deformed.kept)]
         surfaces = self.job.rig.surfaces
         if surfaces.refine:
             moved = carried_finely(
@@ -235,7 +239,7 @@ class _Finisher:
             moved = carried(self.job.anatomy, deformed.deformation)
         if not held:
             return moved
-        motions = _final_motions(self.job)
+        motions = _motions(self.job, deformed)
         tissues = tuple(
             moved.rest[t.name].with_vertices(motions[t.name](moved.rest[t.name].surface.vertices))
             if t.name in held
@@ -268,6 +272,8 @@ class _Finisher:
         )
 
     def _bone_field(self, deformed: Deformed) -> BoneFieldCheck | None:
+        if deformed.kept:
+            return _kept_field(self.job, deformed)
         if not deformed.groups:
             return None
         assert self.job.motions is not None  # held bones are moved by joints
@@ -298,6 +304,41 @@ def _refuse_colliding_bones(job: Job, progress: Progress) -> None:
         f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the joints, or let the bones "
         "deform (bones.rigid = false)"
     )
+
+
+def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
+    """Where each held bone goes: by its joints, or as it is kept."""
+    kept = {bone.name: bone.motion for bone in deformed.kept}
+    return {**_final_motions(job), **kept}
+
+
+def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
+    exposed, contact = kept_residuals(deformed.kept, deformed.deformation)
+    return BoneFieldCheck(
+        contact_zone_mm=job.rig.bones.contact_zone_mm,
+        exposed_vertices=len(exposed),
+        contact_vertices=len(contact),
+        residual_p99_mm=float(np.quantile(exposed, 0.99)) if len(exposed) else 0.0,
+        residual_max_mm=float(exposed.max(initial=0.0)),
+        contact_residual_max_mm=float(contact.max(initial=0.0)),
+    )
+
+
+def _kept_findings(deformed: Deformed) -> tuple[Finding, ...]:
+    """What each kept bone was kept from."""
+    return tuple(
+        Finding(
+            bone.name,
+            "kept-bone",
+            f"{bone.name}: kept {bone.limit.value}; the map would have bent it by up to {bone.bent_mm:.3g} mm"
+            + (f", and its size changes by {_percent(bone)}" if bone.limit is BoneLimit.SIMILAR else ""),
+        )
+        for bone in deformed.kept
+    )
+
+
+def _percent(bone: KeptBone) -> str:
+    return f"{100.0 * (bone.motion.scale - 1.0):+.3g} %"
 
 
 def _final_motions(job: Job) -> Mapping[str, RigidMotion]:

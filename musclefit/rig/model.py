@@ -77,6 +77,13 @@ class PathKind(StrEnum):
     JOINTS = "joints"
 
 
+class BoneLimit(StrEnum):
+    """How a bone may change where no joint moves it; bones that no limit names deform freely."""
+
+    RIGID = "rigid"
+    SIMILAR = "similar"
+
+
 class CageCrossings(StrEnum):
     """What to do with a cage whose triangles cross each other."""
 
@@ -222,18 +229,29 @@ class BoneSettings:
     ``supports_mm`` are the supports of the compact corrections, wide to narrow. Places of a bone that come closer than
     ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along the bone.
 
+    Where no joint moves them, ``keep_rigid`` and ``keep_similar`` name bones (or shell-style patterns) that may only
+    move rigidly, or only move and change their size: each gets the motion that fits the map best, and the field is
+    brought into line with it. A bone that both name is kept rigid.
+
     Raises
     ------
     RigError
-        A length that is not positive and finite, or supports that rise.
+        A length that is not positive and finite, supports that rise, or bones kept both ways.
     """
 
     rigid: bool = False
     handle_spacing_mm: float = 12.0
     supports_mm: tuple[float, ...] = (50.0, 20.0, 10.0)
     contact_zone_mm: float = 4.0
+    keep_rigid: tuple[str, ...] = ()
+    keep_similar: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.rigid and (self.keep_rigid or self.keep_similar):
+            raise RigError(
+                "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones by joints; "
+                "remove them"
+            )
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
         for key, value in (*lengths.items(), *(("supports_mm", s) for s in self.supports_mm)):
             if not 0.0 < value < math.inf:

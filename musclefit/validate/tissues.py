@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
+from musclefit.geometry.arrays import Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.volumes import enclosed_volume
 from musclefit.validate.model import OutsideCheck, TissueCheck
+
+Motion = Callable[[Points], Points]
+"""Takes a whole bone from rest to where it is put, (N, 3) mm."""
 
 PRESCRIBED = "prescribed"
 BEST_FIT = "best fit"
 
 
 def check_tissues(
-    rest: Anatomy, deformed: Anatomy, *, motions: Mapping[str, RigidMotion], outside: OutsideCheck
+    rest: Anatomy, deformed: Anatomy, *, motions: Mapping[str, Motion], outside: OutsideCheck
 ) -> tuple[TissueCheck, ...]:
     """Volume, percent change and, of bones, distance from rigid; one record per tissue in the anatomy's order.
 
@@ -25,8 +29,9 @@ def check_tissues(
     ----------
     rest, deformed : Anatomy
         The same tissues before and after, vertex by vertex.
-    motions : mapping of bone name to RigidMotion
-        Where the joints take each bone, rest to deformed. A bone that is missing here is held against the rigid
+    motions : mapping of bone name to callable
+        Where each bone is taken as a whole, rest to deformed: by joints, or as the rig keeps it.
+        A bone that is missing here is held against the rigid
         motion that fits it best (Kabsch), and the record says so: that is a weaker claim.
     outside : OutsideCheck
         Of `check_outside_skin`; a tissue missing there gets None.
@@ -91,13 +96,13 @@ def _paired(rest: Anatomy, deformed: Anatomy) -> list[tuple[Tissue, Tissue]]:
 
 
 def _rigidity(
-    before: Tissue, after: Tissue, motions: Mapping[str, RigidMotion]
+    before: Tissue, after: Tissue, motions: Mapping[str, Motion]
 ) -> tuple[float, str] | tuple[None, None]:
     """Largest distance of a bone's vertex from where the rigid motion takes it, and which motion that is."""
     if before.kind is not TissueKind.BONE:
         return None, None
     source, target = before.surface.vertices, after.surface.vertices
     prescribed = motions.get(before.name)
-    motion = RigidMotion.fitted(source, target) if prescribed is None else prescribed
+    motion: Motion = RigidMotion.fitted(source, target) if prescribed is None else prescribed
     distance = float(np.linalg.norm(motion(source) - target, axis=1).max())
     return distance, BEST_FIT if prescribed is None else PRESCRIBED

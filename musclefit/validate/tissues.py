@@ -95,9 +95,7 @@ def _paired(rest: Anatomy, deformed: Anatomy) -> list[tuple[Tissue, Tissue]]:
     return pairs
 
 
-def _rigidity(
-    before: Tissue, after: Tissue, motions: Mapping[str, Motion]
-) -> tuple[float, str] | tuple[None, None]:
+def _rigidity(before: Tissue, after: Tissue, motions: Mapping[str, Motion]) -> tuple[float, str] | tuple[None, None]:
     """Largest distance of a bone's vertex from where the rigid motion takes it, and which motion that is."""
     if before.kind is not TissueKind.BONE:
         return None, None

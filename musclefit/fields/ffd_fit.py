@@ -191,12 +191,17 @@ class LevelSystem:
         FieldError
             The handles are too close for this lattice.
         """
-        low, spacing = self._in_space()
-        gram = np.empty((len(self.at), len(self.at)))
-        bsplines.spline_gram(low, spacing, *self.windows, self.covariance, self.at, gram)
+        gram = self.gram()
         if not exact:
             gram[np.diag_indices(len(gram))] += TRADE * self._fall()
         return SaddleFactor.of(gram, polynomials)
+
+    def gram(self) -> Float:
+        """(m, m) covariance of the values that the coefficients give at the handles."""
+        low, spacing = self._in_space()
+        gram = np.empty((len(self.at), len(self.at)))
+        bsplines.spline_gram(low, spacing, *self.windows, self.covariance, self.at, gram)
+        return gram
 
     def coefficients(self, weights: Float) -> Float:
         """(\\*shape, n) coefficients for (m, n) multipliers."""

@@ -5,13 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import blas, cho_factor, cho_solve, lapack
+from numpy.typing import NDArray
+from scipy.linalg import blas, lapack
 
 from musclefit.errors import FieldError
 from musclefit.geometry.arrays import Float
 
 RANK_TOLERANCE = 1e-10
 """Polynomial directions whose singular value is below this fraction of the largest count as not spanned."""
+
+ROUGH_FROM = 1500
+"""Equations from which on a factor in single precision is tried, to be refined by residuals in double precision."""
+
+ROUGH_GAIN = 0.01
+"""It is kept if it brings a residual down by this at least."""
+
+REFINEMENTS, REFINED, SLOW = 12, 1e-14, 0.25
+"""Solutions are refined so often at most, until the residual is this share of the data, or falls by less than SLOW."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -23,24 +33,29 @@ class SaddleFactor:
 
     with A (N, N) symmetric and positive definite on the null space of :math:`P^T`. P may be rank deficient: then only
     the directions that the rows of P span are used and ``c`` is the solution of least norm. Reflectors that span
-    the range of P turn A into a positive definite block (the null-space method), which Cholesky factors.
+    the range of P turn A into a positive definite block (the null-space method), which Cholesky factors; a large one in
+    single precision where residuals in double precision then refine the solutions as far as a factor in double would.
 
     References
     ----------
     M. Benzi, G. Golub, J. Liesen, "Numerical solution of saddle point problems", Acta Numerica 14 (2005), section 6.
     """
 
-    matrix: Float
     polynomials: Float
     rank: int
+    _columns: Float
+    """A above the diagonal."""
+    _factor: NDArray[np.float32] | Float
+    """Cholesky's, lower triangle; in double precision it is below A."""
+    _diagonal: Float
+    """A's own."""
     _basis: Float
     _range_inverse: Float
     _reflectors: tuple[Float, Float]
-    _cholesky: tuple[Float, bool]
 
     @classmethod
     def of(cls, matrix: Float, polynomials: Float) -> SaddleFactor:
-        """Factor; ``matrix`` is (N, N), ``polynomials`` (N, q), q may be 0.
+        """Factor; ``matrix`` is (N, N) and is used up, ``polynomials`` (N, q), q may be 0.
 
         Raises
         ------
@@ -60,46 +75,82 @@ class SaddleFactor:
             range_inverse = np.linalg.inv(np.triu(reflectors[:rank]))
         else:
             reflectors, tau, range_inverse = spanned, np.zeros(0), np.zeros((0, 0))
-        try:
-            block = _projected(matrix, reflectors, tau)
-            cholesky = cho_factor(block, lower=True, overwrite_a=True, check_finite=False)
-        except np.linalg.LinAlgError as error:
+        diagonal = matrix.diagonal().copy()
+        columns = _projected(matrix, reflectors, tau)
+        if len(matrix) >= ROUGH_FROM:
+            with np.errstate(over="ignore"):
+                rough, info = lapack.spotrf(columns.astype(np.float32), lower=1, clean=0, overwrite_a=1)
+            found = cls(polynomials, rank, columns, rough, diagonal, basis, range_inverse, (reflectors, tau))
+            if not info and found._gain() <= ROUGH_GAIN:
+                return found
+        factor, info = lapack.dpotrf(columns, lower=1, clean=0, overwrite_a=1)
+        if info:
             raise FieldError(
                 f"the system of {len(matrix)} handle equations is not positive definite: handles (nearly) coincide, or "
                 "the kernel is too wide for their spacing; remove close handles, narrow the kernel or add smoothing"
-            ) from error
-        return cls(matrix, polynomials, rank, basis, range_inverse, (reflectors, tau), cholesky)
+            )
+        return cls(polynomials, rank, factor, factor, diagonal, basis, range_inverse, (reflectors, tau))
 
     def solve(self, data: Float) -> tuple[Float, Float]:
-        """Weights (N, k) and polynomial coefficients (q, k) for data (N, k), refined once."""
-        weights, coefficients = self._solve_once(data)
-        residual = data - self.matrix @ weights - self.polynomials @ coefficients
-        more_weights, more_coefficients = self._solve_once(residual)
-        return weights + more_weights, coefficients + more_coefficients
+        """Weights (N, k) and polynomial coefficients (q, k) for data (N, k), refined once at least."""
+        weights, coefficients, left = self._solve_once(data)
+        size = float(np.abs(left).max(initial=0.0))
+        enough = REFINED * float(np.abs(data).max(initial=0.0))
+        for _ in range(REFINEMENTS):
+            more_weights, more_coefficients, left = self._solve_once(left)
+            weights, coefficients = weights + more_weights, coefficients + more_coefficients
+            before, size = size, float(np.abs(left).max(initial=0.0))
+            if size <= enough or size > SLOW * before:
+                break
+        return weights, coefficients
 
-    def _solve_once(self, data: Float) -> tuple[Float, Float]:
+    def _gain(self) -> float:
+        """What is left of some data after one solution; infinite when that is no number."""
+        data = np.cos(np.arange(len(self._columns)) ** 2.0)[:, None]
+        left = float(np.abs(self._solve_once(data)[2]).max())
+        return left if np.isfinite(left) else np.inf
+
+    def _solve_once(self, data: Float) -> tuple[Float, Float, Float]:
+        """Weights, coefficients, and what they leave of the data."""
         reflectors, tau = self._reflectors
         rank = self.rank
+        inner = self._inner(_reflect(reflectors, tau, data) if rank else data.copy(order="F"))
+        weights = _unreflect(reflectors, tau, inner) if rank else inner
+        left = data - self._product(weights)
         if not rank:
-            return cho_solve(self._cholesky, data, check_finite=False), np.zeros((0, data.shape[1]))
-        rotated = _reflect(reflectors, tau, data)
-        inner = np.zeros_like(data)
-        inner[rank:] = cho_solve(self._cholesky, rotated[rank:], check_finite=False)
-        weights = _unreflect(reflectors, tau, inner)
-        rest = _reflect(reflectors, tau, data - self.matrix @ weights)[:rank]
-        return weights, self._basis @ (self._range_inverse @ rest)
+            return weights, np.zeros((0, data.shape[1])), left
+        coefficients = self._basis @ (self._range_inverse @ _reflect(reflectors, tau, left)[:rank])
+        return weights, coefficients, left - self.polynomials @ coefficients
+
+    def _inner(self, data: Float) -> Float:
+        """Solution of the definite system; the data are used up."""
+        data[: self.rank] = 0.0
+        if self._factor.dtype == np.float64:
+            solution: Float = lapack.dpotrs(self._factor, data, lower=1, overwrite_b=1)[0]
+            return solution
+        size = float(np.abs(data).max(initial=0.0)) or 1.0
+        rough = lapack.spotrs(self._factor, (data / size).astype(np.float32), lower=1, overwrite_b=1)[0]
+        refined: Float = size * rough.astype(np.float64)
+        return refined
+
+    def _product(self, values: Float) -> Float:
+        """A times values, from A's triangle."""
+        product = (self._diagonal - self._columns.diagonal())[:, None] * values
+        for k in range(values.shape[1]):
+            product[:, k] += blas.dsymv(1.0, self._columns, np.ascontiguousarray(values[:, k]), lower=0)
+        return product
 
 
 def _projected(matrix: Float, reflectors: Float, tau: Float) -> Float:
-    """Lower triangle of Q^T A Q without its first rows and columns, as many as reflectors, in one new array.
+    """Lower triangle of Q^T A Q by columns in A's own memory, its first rows and columns, one a reflector, those of I.
 
     With Q = I - V T V^T, X = A V T and W = X - V (T^T V^T X) / 2 it is A - V W^T - W V^T, for q reflectors an update of
-    rank 2 q. What is above the diagonal is A's own, and Cholesky never looks at it.
+    rank 2 q. What is above the diagonal stays A's own, and Cholesky never looks at it.
     """
     rank = len(tau)
-    block = matrix[rank:, rank:].copy().T  # symmetric, so this is A by columns, as LAPACK wants it
-    if not rank or not block.size:
-        return block
+    columns = np.ascontiguousarray(matrix).T  # symmetric, so this is A by columns, as LAPACK wants it
+    if not rank:
+        return columns
     v = np.tril(reflectors, -1)
     v[np.diag_indices(rank)] = 1.0
     t = np.zeros((rank, rank))
@@ -108,7 +159,9 @@ def _projected(matrix: Float, reflectors: Float, tau: Float) -> Float:
         t[i, i] = tau[i]
     x = matrix @ (v @ t)
     w = x - 0.5 * (v @ (t.T @ (v.T @ x)))
-    updated: Float = blas.dsyr2k(-1.0, v[rank:], w[rank:], beta=1.0, c=block, lower=1, overwrite_c=1)
+    updated: Float = blas.dsyr2k(-1.0, v, w, beta=1.0, c=columns, lower=1, overwrite_c=1)
+    for k in range(rank):
+        updated[k, k], updated[k + 1 :, k] = 1.0, 0.0
     return updated
 
 

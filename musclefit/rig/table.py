@@ -240,6 +240,9 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     if dotted == "anatomy.kinds":
         kinds = section.section(key)
         return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
+    if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
+        lengths = section.section(key)
+        return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
     if hint == tuple[str, ...]:
         return _listed(section, key)
     if hint == tuple[float, ...]:

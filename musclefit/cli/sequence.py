@@ -63,7 +63,7 @@ def sequence(
         job = read_rig(path, overrides=set, progress=stages)
         plan = planned(job, motion=motion, frames=frames, interpolation=interpolation)
         report = run_sequence(plan, folder, workers=workers or _processors(), between=not no_between, progress=stages)
-        write_outputs(plan, folder, report, film=not no_film, seconds=stages.seconds, progress=stages)
+        write_outputs(plan, folder, report, film=not no_film, progress=stages)
     if not quiet:
         _print(report, folder)
     return PASSED if report.verdict == "passed" else FAILED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
@@ -14,9 +15,13 @@ from musclefit.geometry.orientation import integers, triple_products
 DEPTH = 40
 """Halvings of the motion: the answer is within 2^-40 of the largest fraction that Bernstein's criterion proves."""
 
+Quadruple: TypeAlias = tuple[int, ...]
+"""Four Bernstein coefficients of a cubic."""
+
 _BOUND = 2.0**-48
 """Rounding of a Bernstein coefficient over the sum of its terms' sizes: 32 roundings at most, each of 2^-53."""
 _TINY = 1e-200
+_CHUNK = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,27 +62,29 @@ def largest_safe_fraction(start: Points, end: Points, tets: Tets) -> SafeFractio
     if not (np.isfinite(start).all() and np.isfinite(end).all()):
         raise MeshError("the motion has positions that are not finite")
     best, blocking = 1 << DEPTH, -1
-    for tet in np.flatnonzero(~positive_throughout(start, end, tets)):
-        coefficients = bernstein_coefficients(start[tets[tet]], end[tets[tet]])
-        reached = _proved_until(coefficients, 0, DEPTH, best)
-        if reached < best:
-            best, blocking = reached, int(tet)
+    unsure = np.flatnonzero(~positive_throughout(start, end, tets))
+    for begin in range(0, len(unsure), _CHUNK):
+        part = unsure[begin : begin + _CHUNK]
+        for tet, row in zip(part, bernstein_coefficients(start[tets[part]], end[tets[part]]), strict=True):
+            reached = _proved_until(tuple(row), 0, DEPTH, best)
+            if reached < best:
+                best, blocking = reached, int(tet)
     return SafeFraction(best / (1 << DEPTH), blocking)
 
 
-def bernstein_coefficients(start: Float, end: Float) -> tuple[int, int, int, int]:
-    """Of the volume of one tet, corners (4, 3) before and after, times a positive number: exact integers."""
+def bernstein_coefficients(start: Float, end: Float) -> np.ndarray:
+    """Of the volumes of tets, corners (k, 4, 3) before and after: (k, 4) exact integers, times one positive number."""
     whole = integers(np.stack([start, end]))
-    edges = whole[:, 1:] - whole[:, :1]
-    sums = [0, 0, 0, 0]
+    edges = whole[:, :, 1:] - whole[:, :, :1]
+    sums = np.zeros((len(start), 4), dtype=object)
     for mask in range(8):
         pick = [(mask >> k) & 1 for k in range(3)]
-        matrix = np.stack([edges[pick[k], k] for k in range(3)])[None]
-        sums[sum(pick)] += int(triple_products(matrix)[0])
-    return 3 * sums[0], sums[1], sums[2], 3 * sums[3]
+        sums[:, sum(pick)] += triple_products(np.stack([edges[pick[k], :, k] for k in range(3)], axis=1))
+    scaled: np.ndarray = sums * np.array([3, 1, 1, 3], dtype=object)
+    return scaled
 
 
-def _proved_until(b: tuple[int, int, int, int], low: int, depth: int, limit: int) -> int:
+def _proved_until(b: Quadruple, low: int, depth: int, limit: int) -> int:
     """The end of the longest part from ``low`` on, in units of 2^-DEPTH, that is proved positive; at most ``limit``."""
     high = low + (1 << depth)
     if low >= limit or b[0] <= 0:
@@ -92,7 +99,7 @@ def _proved_until(b: tuple[int, int, int, int], low: int, depth: int, limit: int
     return reached if reached < middle else _proved_until(right, middle, depth - 1, limit)
 
 
-def _halves(b: tuple[int, int, int, int]) -> tuple[tuple[int, int, int, int], tuple[int, int, int, int]]:
+def _halves(b: Quadruple) -> tuple[Quadruple, Quadruple]:
     """Bernstein coefficients of both halves, times 8."""
     p, q, r = b[0] + b[1], b[1] + b[2], b[2] + b[3]
     pq, qr = p + q, q + r

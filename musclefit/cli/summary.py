@@ -61,7 +61,17 @@ def _verdict(verdict: str, title: str) -> Text:
 
 
 def _mesh_claim(report: Report) -> str:
-    return "no tetrahedra" if report.result.mesh is None else report.result.mesh.claim.value
+    mesh = report.result.mesh
+    if mesh is None:
+        return "no tetrahedra"
+    told = f"{mesh.claim.value} ({mesh.note})" if mesh.note else mesh.claim.value
+    cut = mesh.refinement
+    if cut is None:
+        return told
+    wrong = f"{cut.inverted_before} tets had come out inverted" if cut.inverted_before else "its boundary had crossed"
+    rounds = "1 round" if cut.rounds == 1 else f"{cut.rounds} rounds"
+    stopped = f"; ended by {cut.stopped}" if cut.stopped else ""
+    return f"{told}; {cut.edges_split} edges split in {rounds}, for {wrong}{stopped}"
 
 
 def _print_failed(console: Console, checks: tuple[Check, ...]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Int, Tets
@@ -46,13 +47,24 @@ def independent_edges(around: list[Int]) -> Int:
 
 def tets_around(tets: Tets, edges: Int) -> list[Int]:
     """For each of (e, 2) edges the numbers of the tets that have both its ends, rising."""
-    if not len(edges):
-        return []
-    touched = np.zeros(int(tets.max(initial=0)) + 1, dtype=bool)
-    touched[edges.ravel()] = True
-    near = np.flatnonzero(touched[tets].sum(axis=1) >= 2)
-    corners = tets[near]
-    return [near[(corners == a).any(axis=1) & (corners == b).any(axis=1)] for a, b in edges]
+    tets = np.ascontiguousarray(tets)
+    return [_around(tets, int(a), int(b)) for a, b in edges]
+
+
+@njit(cache=True)
+def _around(tets, a, b):
+    found = np.empty(64, dtype=np.int64)
+    count = 0
+    for t in range(len(tets)):
+        has_a = tets[t, 0] == a or tets[t, 1] == a or tets[t, 2] == a or tets[t, 3] == a
+        if has_a and (tets[t, 0] == b or tets[t, 1] == b or tets[t, 2] == b or tets[t, 3] == b):
+            if count == len(found):
+                more = np.empty(2 * count, dtype=np.int64)
+                more[:count] = found
+                found = more
+            found[count] = t
+            count += 1
+    return found[:count].copy()
 
 
 def split_edges(tets: Tets, edges: Int, middles: Int) -> SplitTets:

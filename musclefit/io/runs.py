@@ -97,13 +97,13 @@ def save(
         )
     report = result.report
     report = replace(report, **measured(seconds or {}, provenance=report.provenance))
-    vertices = result.result.tet_vertices
+    tets, vertices = result.result.tets, result.result.tet_vertices
     write_run(
         Path(folder),
         report,
         rest=result.result.rest,
         deformed=result.result.deformed,
-        tets=None if result.tets is None or vertices is None else DeformedTets(result.tets, vertices),
+        tets=None if tets is None or vertices is None else DeformedTets(tets, vertices),
         pictures=drawn.pictures,
         pictures_problem=drawn.problem,
         points={file.name: partial(_moved_points, file, result) for file in result.job.further},

@@ -19,6 +19,7 @@ from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, kept_residuals
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surfaces import Carried, carried, carried_finely
+from musclefit.flow.tetrahedra import CarriedTets, carried_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.deformers import (
@@ -33,13 +34,13 @@ from musclefit.pipeline.deformers import (
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import BoneLimit, JointDrive, StepKind
+from musclefit.rig.model import BoneLimit, JointDrive, MeshSettings, StepKind
 from musclefit.validate.bones import first_collision
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
-from musclefit.validate.model import BoneFieldCheck, MapCheck, MapClaim
+from musclefit.validate.model import BoneFieldCheck, MapCheck, MapClaim, MeshCheck, MeshRefinement
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
-from musclefit.validate.tets import check_tets
+from musclefit.validate.tets import check_tets, rest_findings
 from musclefit.validate.tissues import Motion, check_tissues
 
 COLLISION_POSES = 12
@@ -61,8 +62,10 @@ class Outcome:
         The same triangles; where surfaces were refined, the given vertices come first in each tissue.
     determinants : (N,) float64
         Of the map's Jacobian at the vertices of the anatomy at rest, in the order of ``Anatomy.vertices``.
+    tets : TetAnatomy or None
+        At rest; where tets came out wrong, cut finer than those given. None where there are none.
     tet_vertices : (n, 3) float64, mm, or None
-        Of the tet mesh, moved; None where there is none.
+        Of ``tets``, moved.
     side : Side
     """
 
@@ -70,6 +73,7 @@ class Outcome:
     rest: Anatomy
     deformed: Anatomy
     determinants: Float
+    tets: TetAnatomy | None
     tet_vertices: Points | None
     side: Side
 
@@ -82,7 +86,7 @@ class Retargeting:
     ----------
     job : Job
     tets : TetAnatomy or None
-        At rest.
+        At rest, as given.
     result, baseline : Outcome
         The job's method, and the same handles in one shot.
     findings : tuple of Finding
@@ -157,14 +161,16 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     points = job.anatomy.vertices()
     result = deform(job, points, progress=progress)
     baseline = Deformed(deform_in_one_shot(job, points), ())
-    finish = _Finisher(job, solids, tets, progress)
+    finish = _Finisher(job, solids, tets, job.rig.mesh, progress)
+    as_given = replace(finish, mesh=replace(job.rig.mesh, refine=False))
+    of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
     kept = _kept_findings(result)
     return Retargeting(
         job=job,
         tets=tets,
         result=finish(result, method=method_in_words(job), stage="check result"),
-        baseline=finish(baseline, method=baseline_in_words(job), stage="check baseline"),
-        findings=(*job.findings, *kept, *(tets.findings if tets is not None else ())),
+        baseline=as_given(baseline, method=baseline_in_words(job), stage="check baseline"),
+        findings=(*job.findings, *kept, *of_tets),
     )
 
 
@@ -177,7 +183,7 @@ def outcome_of(job: Job, *, rest: SolidAnatomy, progress: Progress) -> Outcome:
     rest : SolidAnatomy
         The job's anatomy, prepared once for many poses.
     """
-    finish = _Finisher(job, rest, None, progress)
+    finish = _Finisher(job, rest, None, job.rig.mesh, progress)
     moved = deform(job, job.anatomy.vertices(), progress=progress)
     return finish(moved, method=method_in_words(job), stage="check result")
 
@@ -189,14 +195,15 @@ class _Finisher:
     job: Job
     rest: SolidAnatomy
     tets: TetAnatomy | None
+    mesh: MeshSettings
     progress: Progress
 
     def __call__(self, deformed: Deformed, *, method: str, stage: str) -> Outcome:
         job, deformation = self.job, deformed.deformation
         moved = self._moved(deformed)
         with self.progress.stage(stage) as tick:
-            tet_vertices = None if self.tets is None else deformation(self.tets.mesh.vertices)
-            rule = rule_in_words(job.rig.deformer)
+            of_map = self._map(deformation, moved, rule_in_words(job.rig.deformer))
+            tets = self._tets(deformation, of_map)
             tick(0.2)
             landmarks = check_landmarks(
                 job.handles.names, arrived=deformation(job.handles.source), targets=job.path.position(1.0)
@@ -211,8 +218,8 @@ class _Finisher:
                 status=CONVERGED if deformation.status is Status.CONVERGED else deformation.status.value,
                 steps=deformation.stretches,
                 landmarks=landmarks,
-                map=self._map(deformation, moved, rule),
-                mesh=None if self.tets is None or tet_vertices is None else check_tets(self.tets, tet_vertices),
+                map=of_map,
+                mesh=None if tets is None else _mesh(tets),
                 tissues=check_tissues(moved.rest, moved.deformed, motions=_motions(job, deformed), outside=outside),
                 overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
                 steps_rejected=deformation.rejected,
@@ -221,7 +228,15 @@ class _Finisher:
                 bones=self._bone_field(deformed),
             )
             tick(1.0)
-        return Outcome(deformation, moved.rest, moved.deformed, moved.determinants, tet_vertices, side)
+        return Outcome(
+            deformation,
+            moved.rest,
+            moved.deformed,
+            moved.determinants,
+            None if tets is None else tets.rest,
+            None if tets is None else tets.vertices,
+            side,
+        )
 
     def _moved(self, deformed: Deformed) -> Carried:
         """The tissues moved by the map, finely where the rig says so; bones that are held, by their rigid motions."""
@@ -247,6 +262,20 @@ class _Finisher:
             for t in moved.deformed
         )
         return replace(moved, deformed=Anatomy(tissues, moved.deformed.frame))
+
+    def _tets(self, deformation: Deformation, of_map: MapCheck) -> CarriedTets | None:
+        """The tets moved by the map, cut finer where that is asked for and the map is not the one to blame."""
+        if self.tets is None:
+            return None
+        if not self.mesh.refine or of_map.claim is MapClaim.REFUTED:
+            return moved_tets(self.tets, deformation)
+        return carried_tets(
+            self.tets,
+            deformation,
+            max_rounds=self.mesh.max_rounds,
+            max_growth=self.mesh.max_growth,
+            progress=self.progress,
+        )
 
     def _map(self, deformation: Deformation, moved: Carried, rule: str) -> MapCheck:
         """The sampled check, and above it the proof where the rig asks for one."""
@@ -287,6 +316,23 @@ class _Finisher:
             residual_max_mm=float(exposed.max()),
             contact_residual_max_mm=float(contact.max(initial=0.0)),
         )
+
+
+def _mesh(tets: CarriedTets) -> MeshCheck:
+    """The moved tets judged, with what was done to them."""
+    check = check_tets(tets.rest, tets.vertices)
+    if not tets.rounds:
+        return check
+    refinement = MeshRefinement(
+        rounds=tets.rounds,
+        edges_split=tets.edges_split,
+        tets_before=tets.given,
+        inverted_before=tets.inverted_before,
+        crossings_before=tets.crossings_before,
+        cut_by_tissue=tets.cut_by_tissue,
+        stopped=tets.stopped,
+    )
+    return replace(check, refinement=refinement)
 
 
 def _refuse_colliding_bones(job: Job, progress: Progress) -> None:

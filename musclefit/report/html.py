@@ -15,7 +15,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, checks_against
-from musclefit.validate.model import Check, PairOverlap, TissueCheck
+from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -102,16 +102,6 @@ def breakable(name: str) -> Markup:
     return Markup("_<wbr>").join(name.split("_"))
 
 
-def render_page(template: str, page: dict[str, Any]) -> str:
-    """A page of one of the templates beside this module; every name and text is escaped."""
-    return _render(template, page)
-
-
-def sentence(check: Check) -> str:
-    """One failed check in words."""
-    return _sentence(check)
-
-
 @dataclass(frozen=True, slots=True)
 class _TissueRow:
     tissue: TissueCheck
@@ -167,9 +157,22 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         "pictures_problem": pictures_problem,
         "tissues": _tissue_rows(report),
         "pairs": _pair_rows(report),
+        "mesh_theorem": MESH_THEOREM,
+        "mesh_surfaces": MESH_SURFACES,
+        "tet_rows": _tet_rows(report),
         "skin": any(t.outside_skin_mm3 is not None for t in report.result.tissues),
         "bones": any(t.rigidity_mm is not None for t in report.result.tissues),
     }
+
+
+def _tet_rows(report: Report) -> list[tuple[str, int, int]]:
+    """Tissues with inverted tets or such that were cut, and how many of each."""
+    mesh = report.result.mesh
+    if mesh is None:
+        return []
+    inverted = dict(mesh.inverted_by_tissue)
+    cut = {} if mesh.refinement is None else dict(mesh.refinement.cut_by_tissue)
+    return [(name, inverted.get(name, 0), cut.get(name, 0)) for name in {**inverted, **cut}]
 
 
 def _remark(report: Report) -> str:

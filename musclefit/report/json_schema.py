@@ -132,13 +132,7 @@ def _map() -> Schema:
         "points_tested": _count("Points tested."),
         "folded_points": _count("Tested points where det of the whole Jacobian is zero or negative."),
         "min_jacobian_determinant": _number("Smallest det of the whole Jacobian (local volume ratio) at the points."),
-        "place_mm": {
-            "type": "array",
-            "items": {"type": ["number", "null"]},
-            "minItems": 3,
-            "maxItems": 3,
-            "description": "The worst place, in rest positions, mm.",
-        },
+        "place_mm": _place("The worst place, in rest positions, mm."),
         "boxes_examined": _count("Boxes of space that the proof examined; 0 where none was tried."),
         "boxes_left": _count("Boxes that it could not decide."),
     }
@@ -160,21 +154,66 @@ def _bones() -> Schema:
 
 
 def _mesh() -> Schema:
+    crossing = {
+        "a": _text("One tissue."),
+        "b": _text("The other, or the same."),
+        "crossings": _count("Pairs of triangles."),
+    }
     by_tissue = {"name": _text("Name of the tissue."), "inverted": _count("Inverted tetrahedra in it.")}
     properties = {
         "tets": _count("Tetrahedra."),
-        "inverted": _count("Tetrahedra with zero or negative volume after the deformation."),
+        "inverted": _count("Tetrahedra with zero or negative volume after the deformation, by an exact predicate."),
         "min_volume_ratio": _number("Smallest deformed volume over rest volume of a tetrahedron."),
         "max_volume_ratio": _number("Largest deformed volume over rest volume of a tetrahedron."),
         "claim": {
             "enum": [claim.value for claim in MeshClaim],
             "description": "What is known of the deformed mesh. certified: every tetrahedron proved positive by an "
-            "exact predicate and the boundary does not cross itself; sampled: positive in floating point; refuted: not "
-            "so.",
+            "exact predicate, and the boundary does not cross itself nor lie in tetrahedra; sampled: positive in "
+            "floating point; undecided: neither proved nor refuted; refuted: not so.",
         },
         "inverted_by_tissue": _list(_record(by_tissue, "One tissue."), "Where the inverted tetrahedra are."),
+        "theorem": _text("What is proved, and from what; empty unless certified."),
+        "surfaces": _text("How the original surfaces ride along, of which the claim does not speak."),
+        "note": _text("Why it is not certified; empty when it is."),
+        "boundary_faces": _count("Triangles of the mesh's boundary."),
+        "crossings": _count("Pairs of boundary triangles that cross or touch."),
+        "crossing_tissues": _list(_record(crossing, "Two tissues."), "Behind which tissues those pairs are."),
+        "worst": _list(_worst_tet(), "The tetrahedra with the smallest volume ratios, inverted ones first."),
+        "straight_fraction": _number(
+            "How far all vertices may go straight from rest to where they are before a tetrahedron is flat: a proved "
+            "fraction, 1 for all the way."
+        ),
+        "refinement": {
+            "description": "How tetrahedra were cut finer; null where nothing had to be cut, or nothing should be.",
+            "oneOf": [_refinement(), {"type": "null"}],
+        },
     }
     return _record(properties, "The deformed tetrahedra.")
+
+
+def _worst_tet() -> Schema:
+    properties = {
+        "tet": _count("Its number in tets.vtu, from 0."),
+        "tissue": _text("The tissue it belongs to."),
+        "rest_place_mm": _place("Its middle at rest, mm."),
+        "place_mm": _place("Its middle after the deformation, mm."),
+        "volume_ratio": _number("Deformed volume over rest volume."),
+    }
+    return _record(properties, "One tetrahedron.")
+
+
+def _refinement() -> Schema:
+    by_tissue = {"name": _text("Name of the tissue."), "cut": _count("Tetrahedra given that were cut.")}
+    properties = {
+        "rounds": _count("Rounds of splitting edges."),
+        "edges_split": _count("Edges split; all tetrahedra around each were cut in two."),
+        "tets_before": _count("Tetrahedra before."),
+        "inverted_before": _count("Of these, how many came out inverted or flat."),
+        "crossings_before": _count("Crossing pairs of boundary triangles, counted where no tetrahedron was inverted."),
+        "cut_by_tissue": _list(_record(by_tissue, "One tissue."), "Where tetrahedra were cut."),
+        "stopped": _text("Which bound ended the rounds before all was well; empty when all was."),
+    }
+    return _record(properties, "What was split because tetrahedra came out wrong though the map is one-to-one.")
 
 
 def _tets() -> Schema:
@@ -311,6 +350,16 @@ def _record(properties: Schema, description: str) -> Schema:
 
 def _list(items: Schema, description: str) -> Schema:
     return {"type": "array", "description": description, "items": items}
+
+
+def _place(description: str) -> Schema:
+    return {
+        "type": "array",
+        "items": {"type": ["number", "null"]},
+        "minItems": 3,
+        "maxItems": 3,
+        "description": description,
+    }
 
 
 def _text(description: str) -> Schema:

@@ -299,7 +299,7 @@ def _mesh_checks(found: MeshCheck, limits: Limits) -> list[Check]:
     measured = found.tets > 0 and (found.inverted > 0 or (math.isfinite(smallest) and smallest > 0))
     worst = max(found.inverted_by_tissue, key=lambda item: item[1], default=("", 0))[0]
     other_cause = found.claim is MeshClaim.REFUTED and found.inverted == 0
-    cause = "its boundary crosses itself" if other_cause else ""
+    cause = found.note if other_cause else ""
     return [
         Check(
             "inverted tets", float(found.inverted) if measured else math.nan, float(limits.inverted_tets), "tets", worst

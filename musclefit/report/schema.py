@@ -21,7 +21,20 @@ from musclefit.report.model import (
     verdict_of,
 )
 from musclefit.rig.model import Limits
-from musclefit.validate.model import BoneFieldCheck, Check, MapCheck, MeshCheck, NotChecked, PairOverlap, TissueCheck
+from musclefit.validate.model import (
+    MESH_SURFACES,
+    MESH_THEOREM,
+    BoneFieldCheck,
+    Check,
+    MapCheck,
+    MeshCheck,
+    MeshClaim,
+    MeshRefinement,
+    NotChecked,
+    PairOverlap,
+    TissueCheck,
+    WorstTet,
+)
 
 __all__ = ["Json", "mesh_report_schema", "report_schema", "to_json"]
 
@@ -141,6 +154,37 @@ def _mesh(found: MeshCheck) -> Json:
         "max_volume_ratio": _number(found.max_volume_ratio),
         "claim": found.claim.value,
         "inverted_by_tissue": [{"name": name, "inverted": int(count)} for name, count in found.inverted_by_tissue],
+        "theorem": MESH_THEOREM if found.claim is MeshClaim.CERTIFIED else "",
+        "surfaces": MESH_SURFACES,
+        "note": found.note,
+        "boundary_faces": int(found.boundary_faces),
+        "crossings": int(found.crossings),
+        "crossing_tissues": [{"a": a, "b": b, "crossings": int(count)} for a, b, count in found.crossing_tissues],
+        "worst": [_worst_tet(tet) for tet in found.worst],
+        "straight_fraction": _number(found.straight_fraction),
+        "refinement": None if found.refinement is None else _refinement(found.refinement),
+    }
+
+
+def _worst_tet(found: WorstTet) -> Json:
+    return {
+        "tet": int(found.tet),
+        "tissue": found.tissue,
+        "rest_place_mm": [_number(x) for x in found.rest_place_mm],
+        "place_mm": [_number(x) for x in found.place_mm],
+        "volume_ratio": _number(found.volume_ratio),
+    }
+
+
+def _refinement(found: MeshRefinement) -> Json:
+    return {
+        "rounds": int(found.rounds),
+        "edges_split": int(found.edges_split),
+        "tets_before": int(found.tets_before),
+        "inverted_before": int(found.inverted_before),
+        "crossings_before": int(found.crossings_before),
+        "cut_by_tissue": [{"name": name, "cut": int(count)} for name, count in found.cut_by_tissue],
+        "stopped": found.stopped,
     }
 
 

@@ -343,6 +343,33 @@ class TetSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class MeshSettings:
+    """What is done about tetrahedra that a one-to-one map leaves inverted, and which are named before it starts.
+
+    ``refine`` splits edges of tets that come out inverted, or whose boundary faces cross, in at most ``max_rounds``
+    rounds and up to ``max_growth`` times the tets given. Tets with an angle between two faces below ``sliver_deg``, or
+    above 180 less that, are named before the deformation.
+
+    Raises
+    ------
+    RigError
+        No round, a growth below 1, or an angle that is not between 0 and 60 degrees.
+    """
+
+    refine: bool = True
+    max_rounds: int = 120
+    max_growth: float = 1.5
+    sliver_deg: float = 1.0
+
+    def __post_init__(self) -> None:
+        _at_least_one("mesh.max_rounds", self.max_rounds)
+        if not 1.0 <= self.max_growth < math.inf:
+            raise RigError(f"mesh.max_growth: found {self.max_growth}; expected a finite factor of at least 1")
+        if not 0.0 <= self.sliver_deg < 60.0:
+            raise RigError(f"mesh.sliver_deg: found {self.sliver_deg}; expected an angle of 0 up to 60 degrees")
+
+
+@dataclass(frozen=True, slots=True)
 class Limits:
     """What a run must keep to pass.
 
@@ -388,6 +415,7 @@ class Rig:
     surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
     certificate: CertificateSettings = field(default_factory=CertificateSettings)
     tets: TetSettings = field(default_factory=TetSettings)
+    mesh: MeshSettings = field(default_factory=MeshSettings)
     limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:

@@ -26,6 +26,7 @@ from musclefit.rig.model import (
     JointDrive,
     LandmarkDrive,
     Limits,
+    MeshSettings,
     Rig,
     StepKind,
     SurfaceSettings,
@@ -44,6 +45,7 @@ Record = TypeVar(
     SurfaceSettings,
     CertificateSettings,
     TetSettings,
+    MeshSettings,
     Limits,
 )
 
@@ -96,7 +98,9 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
         would have no effect, or a key that is missing. The message starts with the file and the dotted key.
     """
     root = Section(table, source)
-    root.refuse_unknown(("title", "anatomy", "drive", "deformer", "bones", "surfaces", "certificate", "tets", "limits"))
+    root.refuse_unknown(
+        ("title", "anatomy", "drive", "deformer", "bones", "surfaces", "certificate", "tets", "mesh", "limits")
+    )
     root.require(("title", "anatomy", "drive"))
     title = root.text("title")
     anatomy = _anatomy(root.section("anatomy"))
@@ -106,9 +110,10 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     surfaces = _record(SurfaceSettings, _optional(root, "surfaces"))
     certificate = _record(CertificateSettings, _optional(root, "certificate"))
     tets = _record(TetSettings, _optional(root, "tets"))
+    mesh = _record(MeshSettings, _optional(root, "mesh"))
     limits = _record(Limits, _optional(root, "limits"))
     try:
-        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, limits)
+        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, mesh, limits)
     except RigError as error:
         raise RigError(f"{source}: {error}") from None
 
@@ -160,6 +165,7 @@ def known_keys() -> tuple[str, ...]:
         "surfaces": (SurfaceSettings,),
         "certificate": (CertificateSettings,),
         "tets": (TetSettings,),
+        "mesh": (MeshSettings,),
         "limits": (Limits,),
     }
     keys = ["title", "drive.kind"]

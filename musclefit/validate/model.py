@@ -55,8 +55,57 @@ class MapCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class WorstTet:
+    """One tet by number, tissue and place (its middle, at rest and moved), with its moved volume over that at rest."""
+
+    tet: int
+    tissue: str
+    rest_place_mm: tuple[float, float, float]
+    place_mm: tuple[float, float, float]
+    volume_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class MeshRefinement:
+    """How tets were cut finer because they came out wrong though the map is one-to-one.
+
+    ``cut_by_tissue`` counts the tets given that were cut, most first. ``stopped`` says which bound ended the rounds
+    before all was well; empty when all was. Crossings are those of the boundary, counted once no tet is inverted.
+    """
+
+    rounds: int
+    edges_split: int
+    tets_before: int
+    inverted_before: int
+    crossings_before: int
+    cut_by_tissue: tuple[tuple[str, int], ...]
+    stopped: str = ""
+
+
+MESH_THEOREM = (
+    "Every tetrahedron is right-handed, faces belong to one tetrahedron or to two on opposite sides, the boundary does "
+    "not cross itself, and no tetrahedron lies outside one of its sheets: all by exact predicates. So no two "
+    "tetrahedra share volume, and tissues, which share faces only, do not intersect."
+)
+"""What a certified mesh proves, and from what."""
+
+MESH_SURFACES = (
+    "The claim is about the tetrahedra. The original surfaces, which these follow within the envelope, ride along by "
+    "the map itself, finely cut where the rig asks for it (bones held rigid: by their rigid motions), and not by the "
+    "tetrahedra that hold them; whether they overlap is measured apart."
+)
+"""What a certified mesh does not speak of."""
+
+
+@dataclass(frozen=True, slots=True)
 class MeshCheck:
-    """The deformed tetrahedra."""
+    """The deformed tetrahedra.
+
+    ``inverted`` counts tets of negative volume or none; ``crossings`` pairs of boundary triangles that cross or touch,
+    of which ``crossing_tissues`` names the tissues behind and how many pairs. ``straight_fraction`` is how far all
+    vertices may go straight from rest to where they are, as a proved fraction, before a tet is flat. ``note`` says why
+    the mesh is not certified. ``refinement`` is None where nothing had to be cut, or nothing should be.
+    """
 
     tets: int
     inverted: int
@@ -64,6 +113,13 @@ class MeshCheck:
     max_volume_ratio: float
     claim: MeshClaim
     inverted_by_tissue: tuple[tuple[str, int], ...] = ()
+    boundary_faces: int = 0
+    crossings: int = 0
+    crossing_tissues: tuple[tuple[str, str, int], ...] = ()
+    worst: tuple[WorstTet, ...] = ()
+    straight_fraction: float = 0.0
+    note: str = ""
+    refinement: MeshRefinement | None = None
 
 
 @dataclass(frozen=True, slots=True)

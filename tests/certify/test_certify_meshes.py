@@ -1,4 +1,4 @@
-"""Attacks on the certificate of tet meshes: whatever overlaps, crosses, touches or is inverted by one ulp is refused."""
+"""Attacks on the certificate of tet meshes: what overlaps, crosses, touches or is inverted by one ulp is refused."""
 
 from __future__ import annotations
 

@@ -1,0 +1,278 @@
+"""Tets as fine as a map needs: edges of tets that come out wrong are split, new vertices go through the map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.geometry.arrays import Float, Int, Points, Tets
+from musclefit.geometry.crossings import self_crossings
+from musclefit.geometry.meshes import TetMesh, TriMesh
+from musclefit.geometry.orientation import orientations
+from musclefit.geometry.tet_subdivision import independent_edges, split_edges, tets_around
+from musclefit.geometry.tet_topology import tet_edges, tet_faces
+from musclefit.geometry.volumes import signed_volumes
+from musclefit.progress import Progress
+
+Map = Callable[[Points], Points]
+"""Takes (N, 3) points at rest, mm, to where they go."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CarriedTets:
+    """Tets moved by a map, cut finer where they came out inverted or the boundary crossed itself.
+
+    Parameters
+    ----------
+    rest : TetAnatomy
+        At rest; new vertices are the middles of split edges and come after the old ones. It fills the same space: each
+        tet was cut within itself and handed its tissue on.
+    vertices : (n, 3) float64, mm
+        Where the map takes the vertices of ``rest``.
+    rounds, edges_split : int
+    given, inverted_before, crossings_before : int
+        Tets before, those of them that came out inverted or flat, and crossing pairs of boundary triangles before.
+    cut_by_tissue : tuple of (tissue, tets that were cut), most first
+    inverted_left, crossings_left : int
+        0 unless a bound was met. Crossings are counted only where no tet is inverted.
+    stopped : str
+        Which bound ended it, in words; empty when nothing was left to do.
+    """
+
+    rest: TetAnatomy
+    vertices: Points
+    rounds: int
+    edges_split: int
+    given: int
+    inverted_before: int
+    crossings_before: int
+    cut_by_tissue: tuple[tuple[str, int], ...]
+    inverted_left: int
+    crossings_left: int
+    stopped: str = ""
+
+
+_ALL_WELL = (0, 0)
+
+
+@dataclass(slots=True)
+class _Work:
+    """A tet mesh on its way: positions at rest and moved, tets, and the tet of the given mesh each was cut from."""
+
+    rest: Points
+    moved: Points
+    tets: Tets
+    origin: Int
+    cuts: Int
+    inverted: Int = field(default_factory=lambda: np.zeros(0, np.int64))
+    crossing: Int = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    """Pairs of tets behind crossing triangles."""
+    edges_split: int = 0
+
+    @classmethod
+    def of(cls, rest: TetAnatomy, where: Map) -> _Work:
+        """The given tets, moved."""
+        tets = rest.mesh.tets
+        return cls(rest.mesh.vertices, where(rest.mesh.vertices), tets, np.arange(len(tets)), np.zeros(len(tets), int))
+
+    @property
+    def wrong(self) -> tuple[int, int]:
+        """Inverted tets, and pairs of boundary triangles that cross; fewer of the first is better."""
+        return len(self.inverted), len(self.crossing)
+
+
+def moved_tets(rest: TetAnatomy, where: Map) -> CarriedTets:
+    """Tets moved by a map and left as they are, inverted or not; nothing is counted."""
+    return CarriedTets(
+        rest=rest,
+        vertices=where(rest.mesh.vertices),
+        rounds=0,
+        edges_split=0,
+        given=len(rest.mesh.tets),
+        inverted_before=0,
+        crossings_before=0,
+        cut_by_tissue=(),
+        inverted_left=0,
+        crossings_left=0,
+        stopped="not asked for",
+    )
+
+
+def carried_tets(
+    rest: TetAnatomy, where: Map, *, max_rounds: int, max_growth: float, progress: Progress
+) -> CarriedTets:
+    """Move tets, splitting edges of those that come out inverted or flat, or whose boundary faces cross.
+
+    Of each such tet the longest edge is split, and with it all tets around it: the mesh stays conforming, no volume
+    goes to another tissue, and the new vertices are where the map takes the middles. A map without folds is nearly
+    linear on small tets, so that it keeps them right-handed unless splitting makes them flatter and flatter. Where that
+    happens all starts anew, the slow way: a tet's longest edge waits until those of all tets around it are no longer
+    than it, which keeps shapes (Rivara's longest-edge propagation). Neither way has a proved end; the limits are its
+    end then.
+
+    Parameters
+    ----------
+    rest : TetAnatomy
+    where : callable
+        The map.
+    max_rounds : int
+    max_growth : float
+        Tets at most, as a multiple of those given.
+
+    Returns
+    -------
+    CarriedTets
+        As given, only moved, where splitting left no fewer tets wrong than there were.
+    """
+    given = _judged(_Work.of(rest, where))
+    best, outcomes = given, []
+    with progress.stage("refine tets") as tick:
+        for number, (order, share) in enumerate(_ORDERS):
+            if given.wrong == _ALL_WELL:
+                break
+            work = replace(given)
+            stopped, done = _refine(work, where, order, rounds=max(1, int(share * max_rounds)), growth=max_growth)
+            tick((number + 1) / len(_ORDERS))
+            outcomes.append((work, stopped, done))
+            if not stopped:
+                break
+    if outcomes:
+        best, stopped, done = min(outcomes, key=lambda outcome: outcome[0].wrong)
+        if best.wrong >= given.wrong:
+            best = given
+    else:
+        stopped, done = "", 0
+    return CarriedTets(
+        rest=rest if best is given else _labelled(rest, best),
+        vertices=best.moved,
+        rounds=done,
+        edges_split=best.edges_split,
+        given=len(given.tets),
+        inverted_before=len(given.inverted),
+        crossings_before=len(given.crossing),
+        cut_by_tissue=_cut_by_tissue(rest, best),
+        inverted_left=len(best.inverted),
+        crossings_left=len(best.crossing),
+        stopped=stopped,
+    )
+
+
+def _refine(work: _Work, where: Map, order: _Order, *, rounds: int, growth: float) -> tuple[str, int]:
+    """Split until nothing is wrong: which bound ended it before that, in words, and the rounds it took."""
+    most = growth * len(work.tets)
+    for done in range(rounds):
+        if work.wrong == _ALL_WELL:
+            return "", done
+        if len(work.tets) > most:
+            return f"{len(work.tets)} tets, more than {growth:g} times those given", done
+        if not _split(work, where, order(work)):
+            return "no edge could be split without flattening a tet at rest", done
+        _judged(work)
+    return ("" if work.wrong == _ALL_WELL else f"{rounds} rounds of splitting edges"), rounds
+
+
+def _judged(work: _Work) -> _Work:
+    """The work with its inverted tets and, only where there is none, the crossings of the boundary."""
+    work.inverted = np.flatnonzero(orientations(work.moved, work.tets) <= 0)
+    work.crossing = np.zeros((0, 2), np.int64)
+    if not work.inverted.size:
+        faces = tet_faces(work.tets)
+        pairs = self_crossings(TriMesh(work.moved, faces.boundary)).pairs
+        work.crossing = faces.boundary_tets[pairs].reshape(-1, 2)
+    return work
+
+
+_Order = Callable[[_Work], list[tuple[Int, Int]]]
+"""Which edges of the wrong tets to split next, most urgent first: ends, and the tets around."""
+
+
+def _longest_edges(work: _Work) -> list[tuple[Int, Int]]:
+    """The longest edge of each wrong tet that can be split."""
+    ends, lengths = _edges_by_length(work, np.unique(np.concatenate([work.inverted, work.crossing.ravel()])))
+    chosen = {}
+    for own, sizes in zip(ends, lengths, strict=True):
+        for edge, size in zip(own, sizes, strict=True):
+            around = tets_around(work.tets, edge[None])[0]
+            if _can_split(work, edge, around):
+                chosen[int(edge[0]), int(edge[1])] = size, edge, around
+                break
+    return [(edge, around) for _, edge, around in sorted(chosen.values(), key=lambda item: -item[0])]
+
+
+def _edges_no_neighbour_exceeds(work: _Work) -> list[tuple[Int, Int]]:
+    """From the longest edge of each wrong tet on to longer ones of the tets around, until there is none."""
+    ends, _ = _edges_by_length(work, np.unique(np.concatenate([work.inverted, work.crossing.ravel()])))
+    seen: set[tuple[int, int]] = set()
+    chosen = []
+    for edge in ends[:, 0]:
+        while (int(edge[0]), int(edge[1])) not in seen:
+            seen.add((int(edge[0]), int(edge[1])))
+            around = tets_around(work.tets, edge[None])[0]
+            candidates, lengths = _edges_by_length(work, around)
+            size = lengths[0][(candidates[0] == edge).all(axis=1)][0]
+            longest = int(np.argmax(lengths[:, 0]))
+            if lengths[longest, 0] <= size:
+                if _can_split(work, edge, around):
+                    chosen.append((edge, around))
+                break
+            edge = candidates[longest, 0]
+    return chosen
+
+
+_ORDERS: tuple[tuple[_Order, float], ...] = ((_longest_edges, 1.0 / 3.0), (_edges_no_neighbour_exceeds, 1.0))
+"""The ways to choose edges, and the share of the rounds that each may take; the second starts anew."""
+
+
+def _edges_by_length(work: _Work, tets: Int) -> tuple[Int, Float]:
+    """(t, 6, 2) edges of some tets, the longest at rest first, and (t, 6) their lengths."""
+    numbers, of_tet = tet_edges(work.tets[tets])
+    ends = numbers[of_tet]
+    lengths = np.linalg.norm(work.rest[ends[..., 0]] - work.rest[ends[..., 1]], axis=2)
+    order = np.argsort(-lengths, axis=1, kind="stable")
+    return np.take_along_axis(ends, order[..., None], axis=1), np.take_along_axis(lengths, order, axis=1)
+
+
+def _split(work: _Work, where: Map, edges: list[tuple[Int, Int]]) -> bool:
+    """Split those of the edges that have no tet in common; False where there is none."""
+    if not edges:
+        return False
+    chosen = independent_edges([around for _, around in edges])
+    ends = np.array([edges[number][0] for number in chosen])
+    middles = 0.5 * (work.rest[ends[:, 0]] + work.rest[ends[:, 1]])
+    split = split_edges(work.tets, ends, len(work.rest) + np.arange(len(chosen)))
+    cuts = work.cuts.copy()
+    np.add.at(cuts, work.origin[split.parent[len(work.tets) :]], 1)
+    work.cuts = cuts
+    work.origin = work.origin[split.parent]
+    work.tets = split.tets
+    work.rest = np.vstack([work.rest, middles])
+    work.moved = np.vstack([work.moved, where(middles)])
+    work.edges_split += len(chosen)
+    return True
+
+
+def _can_split(work: _Work, ends: Int, around: Int) -> bool:
+    """Whether all halves are right-handed at rest, rounding of the middle included."""
+    middle = 0.5 * (work.rest[ends[0]] + work.rest[ends[1]])
+    local = np.vstack([work.rest[work.tets[around]].reshape(-1, 3), middle])
+    old = np.arange(4 * len(around)).reshape(-1, 4)
+    corners = work.tets[around]
+    halves = np.concatenate([np.where(corners == end, len(local) - 1, old) for end in ends])
+    return bool((orientations(local, halves) > 0).all() and (signed_volumes(local, halves) > 0.0).all())
+
+
+def _labelled(rest: TetAnatomy, work: _Work) -> TetAnatomy:
+    return replace(
+        rest,
+        mesh=TetMesh(work.rest, work.tets),
+        tissue_of_tet=rest.tissue_of_tet[work.origin],
+    )
+
+
+def _cut_by_tissue(rest: TetAnatomy, work: _Work) -> tuple[tuple[str, int], ...]:
+    counts = np.bincount(rest.tissue_of_tet, weights=work.cuts > 0, minlength=len(rest.names)).astype(int)
+    found = [(rest.names[i], int(counts[i])) for i in np.flatnonzero(counts)]
+    return tuple(sorted(found, key=lambda item: (-item[1], item[0])))

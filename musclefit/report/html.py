@@ -102,6 +102,16 @@ def breakable(name: str) -> Markup:
     return Markup("_<wbr>").join(name.split("_"))
 
 
+def render_page(template: str, page: dict[str, Any]) -> str:
+    """A page of one of the templates beside this module; every name and text is escaped."""
+    return _render(template, page)
+
+
+def sentence(check: Check) -> str:
+    """One failed check in words."""
+    return _sentence(check)
+
+
 @dataclass(frozen=True, slots=True)
 class _TissueRow:
     tissue: TissueCheck

@@ -59,19 +59,25 @@ def carried(anatomy: Anatomy, deformation: Deformation) -> Carried:
 
 
 def carried_finely(
-    anatomy: Anatomy, deformation: Deformation, *, tolerance_mm: float, whole: frozenset[str], progress: Progress
+    anatomy: Anatomy,
+    deformation: Deformation,
+    *,
+    tolerance_mm: float,
+    longest_mm: float,
+    whole: frozenset[str],
+    progress: Progress,
 ) -> Carried:
     r"""Move the tissues, splitting edges whose middle would be off the map by more than the tolerance.
 
     The middle of an edge e is off by about :math:`|(J_1 - J_0)\, e| / 8`, J the Jacobians at its ends; edges longer
-    than ``LONG_EDGE_MM`` are split without asking. The map is one-to-one, so that fine enough surfaces of disjoint
-    tissues stay disjoint.
+    than ``longest_mm`` are split without asking, since a bend may hide between their ends. The map is one-to-one, so
+    that fine enough surfaces of disjoint tissues stay disjoint.
 
     Parameters
     ----------
     anatomy : Anatomy
     deformation : Deformation
-    tolerance_mm : float
+    tolerance_mm, longest_mm : float
     whole : frozenset of str
         Tissues that are not split: bones that move rigidly.
     """
@@ -82,7 +88,13 @@ def carried_finely(
     bent_left = 0
     with (progress or Silent()).stage("refine surfaces") as tick:
         for done in range(MAX_ROUNDS + 1):
-            marked = [(w, e, b) for w in works if w.name not in whole for e, b in [_bent(w, tolerance_mm)] if b.any()]
+            marked = [
+                (w, e, b)
+                for w in works
+                if w.name not in whole
+                for e, b in [_bent(w, tolerance_mm, longest_mm)]
+                if b.any()
+            ]
             bent_left = sum(int(bent.sum()) for _, _, bent in marked)
             if not marked or done == MAX_ROUNDS:
                 break
@@ -110,11 +122,11 @@ def _move_new(marked: list[tuple[_Work, FaceEdges, Bool]], deformation: Deformat
         work.jacobians = np.concatenate([work.jacobians, slopes])
 
 
-def _bent(work: _Work, tolerance_mm: float) -> tuple[FaceEdges, Bool]:
+def _bent(work: _Work, tolerance_mm: float, longest_mm: float) -> tuple[FaceEdges, Bool]:
     """The edges of a tissue, and which of them the map bends beyond the tolerance."""
     edges = FaceEdges.of(work.surface.faces)
     a, b = edges.ends.T
     along = work.surface.vertices[b] - work.surface.vertices[a]
     turned = np.einsum("eij,ej->ei", work.jacobians[b] - work.jacobians[a], along)
     off = np.linalg.norm(turned, axis=1) / 8.0
-    return edges, (off > tolerance_mm) | (np.linalg.norm(along, axis=1) > LONG_EDGE_MM)
+    return edges, (off > tolerance_mm) | (np.linalg.norm(along, axis=1) > longest_mm)

@@ -247,6 +247,7 @@ class _Finisher:
                 self.job.anatomy,
                 deformed.deformation,
                 tolerance_mm=surfaces.chord_tolerance_mm,
+                longest_mm=surfaces.longest_edge_mm,
                 whole=frozenset(held),
                 progress=self.progress,
             )

@@ -266,22 +266,24 @@ class BoneSettings:
 class SurfaceSettings:
     """Whether surfaces are cut finer where the map bends their triangles.
 
-    Edges whose middle would be off the map by more than ``chord_tolerance_mm`` are split.
+    Edges whose middle would be off the map by more than ``chord_tolerance_mm`` are split, and so are all that are
+    longer than ``longest_edge_mm``.
 
     Raises
     ------
     RigError
-        A tolerance that is not positive and finite.
+        A length that is not positive and finite.
     """
 
     refine: bool = False
     chord_tolerance_mm: float = 0.02
+    longest_edge_mm: float = 3.0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.chord_tolerance_mm < math.inf:
-            raise RigError(
-                f"surfaces.chord_tolerance_mm: found {self.chord_tolerance_mm}; expected a finite length above 0, in mm"
-            )
+        for key in ("chord_tolerance_mm", "longest_edge_mm"):
+            value = getattr(self, key)
+            if not 0.0 < value < math.inf:
+                raise RigError(f"surfaces.{key}: found {value}; expected a finite length above 0, in mm")
 
 
 @dataclass(frozen=True, slots=True)

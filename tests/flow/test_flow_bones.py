@@ -138,7 +138,7 @@ def test_fine_surfaces_keep_the_muscle_volume_and_its_distance_from_bone(bent):
     _, _, deformation = bent
     whole = frozenset(t.name for t in ANATOMY.of_kind(TissueKind.BONE))
     coarse = carried(ANATOMY, deformation)
-    fine = carried_finely(ANATOMY, deformation, tolerance_mm=0.02, whole=whole, progress=Silent())
+    fine = carried_finely(ANATOMY, deformation, tolerance_mm=0.02, longest_mm=3.0, whole=whole, progress=Silent())
     rest = enclosed_volume(ANATOMY["muscle_front"].surface)
     errors = [abs(enclosed_volume(c.deformed["muscle_front"].surface) / rest - 1.0) for c in (coarse, fine)]
     assert errors[1] < 0.002

@@ -13,7 +13,12 @@ import pytest
 from musclefit.figures.rendering import rendering_problem
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-STARTED_ONLY = {"fig5_gyrus.py": "--out", "fig6_child_adult.py": "--out", "forearm_backends.py": "--no-certificate"}
+STARTED_ONLY = {
+    "fig5_gyrus.py": "--out",
+    "fig7_bodies.py": "--no-overlaps",
+    "fig6_child_adult.py": "--out",
+    "forearm_backends.py": "--no-certificate",
+}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
 
 

@@ -375,8 +375,8 @@ class MeshSettings:
 class Limits:
     """What a run must keep to pass.
 
-    ``introduced_overlap_mm3`` is for pairs that are apart at rest, ``grown_overlap_mm3`` for those that overlap at rest:
-    what they share beyond that overlap carried along.
+    ``introduced_overlap_mm3`` is for pairs that are apart at rest, ``grown_overlap_mm3`` for those that overlap at
+    rest: what they share beyond that overlap carried along.
 
     Raises
     ------

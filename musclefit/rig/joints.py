@@ -9,64 +9,14 @@ from typing import Any
 import numpy as np
 
 from musclefit.errors import RigError
-from musclefit.geometry.arrays import Float, Points, frozen
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.rig.joint_kinds import Coupling, Joint
+from musclefit.rig.joint_tables import read_coupling, read_joint
 from musclefit.rig.model import Unit
 from musclefit.rig.section import Section, suggestion
 
 _TEXTS = ("units", "source", "order")
 """Top-level keys that are not joints; ``order`` is prose for the reader, the composition follows from the bones."""
-_COUPLING = ("follows", "fraction", "bone", "source")
-_NO_LIMITS = (-np.inf, np.inf)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Joint:
-    """A hinge, stated in the rest pose.
-
-    Parameters
-    ----------
-    name : str
-    centre : (3,) float64, mm
-        Any point of the axis.
-    axis : (3,) float64
-        Direction of the axis; positive angles turn by the right-hand rule. Kept with length 1.
-    fixed : tuple of str
-        The bones that carry the axis.
-    moving : tuple of str
-        Every bone that the joint moves, also those beyond the next joint.
-    limits_deg : (low, high), degrees
-        The range of the joint; infinite where it states none.
-    """
-
-    name: str
-    centre: Points
-    axis: Float
-    fixed: tuple[str, ...]
-    moving: tuple[str, ...]
-    limits_deg: tuple[float, float] = _NO_LIMITS
-
-    def __post_init__(self) -> None:
-        axis = np.asarray(self.axis, dtype=np.float64)
-        object.__setattr__(self, "centre", frozen(self.centre))
-        object.__setattr__(self, "axis", frozen(axis / np.linalg.norm(axis)))
-
-    def motion(self, degrees: float) -> RigidMotion:
-        """Rotation by ``degrees`` about the rest-pose axis."""
-        return RigidMotion.about_axis(centre=self.centre, axis=self.axis, angle_deg=degrees)
-
-
-@dataclass(frozen=True, slots=True)
-class Coupling:
-    """A bone that turns by a fraction of a joint's angle about that joint's axis, as the patella follows the knee.
-
-    The bone rides on whatever carries that axis.
-    """
-
-    name: str
-    follows: str
-    fraction: float
-    bone: str
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,8 +48,14 @@ class JointSystem:
         for first, joint in enumerate(self.joints):
             for other in self.joints[first + 1 :]:
                 self._require_order(joint, other)
+        self._require_coordinates()
         for coupling in self.couplings:
             self._require_free(coupling)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """What a pose may set: every coordinate that no other one sets."""
+        return tuple(name for joint in self.joints if joint.coupled is None for name in joint.coordinates)
 
     def bones(self) -> tuple[str, ...]:
         """Every bone that a joint fixes or moves, or that follows one, each once."""
@@ -123,17 +79,20 @@ class JointSystem:
 
     def check_pose(self, pose: Mapping[str, float]) -> None:
         """Raise RigError where the pose names no joint of the system, is not finite, or exceeds a joint's limits."""
-        joints = {joint.name: joint for joint in self.joints}
-        followers = {coupling.name: coupling for coupling in self.couplings}
+        limits = {
+            name: low_high for j in self.joints for name, low_high in zip(j.coordinates, j.limits_deg, strict=True)
+        }
+        set_by = {coupling.name: coupling.follows for coupling in self.couplings}
+        set_by |= {joint.name: joint.coupled.to for joint in self.joints if joint.coupled is not None}
         for name, degrees in pose.items():
-            if name in followers:
-                follows = followers[name].follows
-                raise RigError(f"pose of {name!r}: it follows joint {follows!r} ({self.source}); pose that joint")
-            if name not in joints:
-                raise RigError(f"pose of {name!r}: no such joint in {self.source}; {suggestion(name, joints)}")
-            low, high = joints[name].limits_deg
+            if name in set_by:
+                raise RigError(f"pose of {name!r}: it follows joint {set_by[name]!r} ({self.source}); pose that joint")
+            if name not in limits:
+                raise RigError(f"pose of {name!r}: no such joint in {self.source}; {suggestion(name, limits)}")
             if not np.isfinite(degrees):
                 raise RigError(f"pose of {name!r}: found {degrees}; expected a finite angle in degrees")
+        for name, degrees in self._angles(pose).items():
+            low, high = limits[name]
             if not low <= degrees <= high:
                 raise RigError(
                     f"pose of {name!r}: found {degrees:g} degrees, but limits_deg in {self.source} is "
@@ -145,8 +104,8 @@ class JointSystem:
 
         Parameters
         ----------
-        pose : mapping of joint name to angle, degrees
-            Joints that it leaves out stay at rest.
+        pose : mapping of coordinate to angle, degrees
+            A hinge's coordinate is its name. Those left out stay at rest.
 
         Returns
         -------
@@ -159,13 +118,14 @@ class JointSystem:
             As `check_pose`.
         """
         self.check_pose(pose)
-        turned = {joint.name: joint.motion(float(pose.get(joint.name, 0.0))) for joint in self.joints}
+        angles = self._angles(pose)
+        turned = {joint.name: joint.motion(angles) for joint in self.joints}
         motions: dict[str, RigidMotion] = {}
         for bone in self.bones():
             motions[bone] = _product([turned[joint.name] for joint in self._chain(bone)])
         for coupling in self.couplings:
-            joint = self._joint(coupling.follows)
-            own = joint.motion(coupling.fraction * float(pose.get(joint.name, 0.0)))
+            joint = self._owner(coupling.follows)
+            own = joint.motion({coupling.follows: coupling.fraction * angles[coupling.follows]})
             carriers = [turned[a.name] for a in self._proximal_to(joint)]
             motions[coupling.bone] = _product([*carriers, own])
         return motions
@@ -181,8 +141,33 @@ class JointSystem:
         self.check_pose(pose)
         return JointMotions(self, tuple((name, float(degrees)) for name, degrees in pose.items()))
 
-    def _joint(self, name: str) -> Joint:
-        return next(joint for joint in self.joints if joint.name == name)
+    def _owner(self, coordinate: str) -> Joint:
+        return next(joint for joint in self.joints if coordinate in joint.coordinates)
+
+    def _angles(self, pose: Mapping[str, float]) -> dict[str, float]:
+        """Every coordinate's angle, those that follow another one included."""
+        angles = {name: float(pose.get(name, 0.0)) for name in self.coordinates}
+        for joint in self.joints:
+            if joint.coupled is not None:
+                angles[joint.name] = joint.coupled.angle(angles[joint.coupled.to])
+        return angles
+
+    def _require_coordinates(self) -> None:
+        """Raise RigError where two joints share a coordinate, or one follows a coordinate that no pose sets."""
+        seen: dict[str, str] = {}
+        for joint in self.joints:
+            for name in joint.coordinates:
+                if name in seen:
+                    raise self._error(
+                        f"{joint.name}.coordinates", f"joint {seen[name]!r} has a coordinate {name!r} too; rename one"
+                    )
+                seen[name] = joint.name
+        for joint in self.joints:
+            if joint.coupled is not None and joint.coupled.to not in self.coordinates:
+                raise self._error(
+                    f"{joint.name}.couple.to",
+                    f"no pose sets a coordinate {joint.coupled.to!r}; {suggestion(joint.coupled.to, self.coordinates)}",
+                )
 
     def _chain(self, bone: str) -> list[Joint]:
         """The joints that move a bone, the most proximal first: their moving sets are nested."""
@@ -233,13 +218,13 @@ class JointSystem:
 
     def _require_free(self, coupling: Coupling) -> None:
         """Raise RigError unless a coupling follows a joint and nothing else turns its bone."""
-        names = [joint.name for joint in self.joints]
+        names = [name for joint in self.joints for name in joint.coordinates]
         if coupling.follows not in names:
             raise self._error(
                 f"{coupling.name}.follows",
                 f"no joint is named {coupling.follows!r}; {suggestion(coupling.follows, names)}",
             )
-        carriers = self._proximal_to(self._joint(coupling.follows))
+        carriers = self._proximal_to(self._owner(coupling.follows))
         for joint in self.joints:
             if coupling.bone in joint.moving and joint not in carriers:
                 raise self._error(
@@ -264,7 +249,7 @@ class JointSystem:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JointMotions:
-    """The motions of a joint system on the way from rest to ``pose`` (joint names and degrees): `BoneMotions`."""
+    """The motions of a joint system on the way from rest to ``pose`` (coordinates and degrees): `BoneMotions`."""
 
     joints: JointSystem
     pose: tuple[tuple[str, float], ...]
@@ -281,9 +266,10 @@ def parse_joints(table: Mapping[str, Any], *, source: str) -> JointSystem:
     ----------
     table : mapping
         As json or tomllib give it: ``units`` ("mm", or "mm, degrees"), optional texts ``source`` and ``order``, and
-        per joint either ``centre_mm`` (``centre_cm``, ``centre_m``: the unit of ``units``), ``axis``, ``fixed``,
-        ``moving`` and optionally ``limits_deg = [low, high]``, ``positive`` and ``order`` (texts), or, for a bone
-        that follows a joint, ``follows``, ``fraction`` and ``bone``.
+        per joint ``kind`` ("hinge", which it is without one, "universal", "ball" or "screw"), ``centre_mm``
+        (``centre_cm``, ``centre_m``: the unit of ``units``), ``axis`` (or ``axes`` and ``coordinates``), ``fixed``,
+        ``moving`` and optionally ``limits_deg``, ``couple``, ``positive`` and ``order`` (texts); or, for a bone that
+        follows a coordinate, ``follows``, ``fraction`` and ``bone``.
     source : str
         The file, for messages.
 
@@ -309,9 +295,9 @@ def parse_joints(table: Mapping[str, Any], *, source: str) -> JointSystem:
             raise root.error(name, f"unknown key; known: {known}, and joints, which are tables")
         section = root.section(name)
         if "follows" in section:
-            couplings.append(_coupling(name, section))
+            couplings.append(read_coupling(name, section))
         else:
-            joints.append(_joint(name, section, unit=unit))
+            joints.append(read_joint(name, section, unit=unit))
     if not joints:
         raise RigError(f"{source}: holds no joint; add a table with axis, centre_{unit}, fixed and moving")
     return JointSystem(tuple(joints), tuple(couplings), source)
@@ -327,52 +313,6 @@ def _unit(root: Section) -> Unit:
             '", degrees"',
         )
     return Unit(words[0])
-
-
-def _joint(name: str, section: Section, *, unit: Unit) -> Joint:
-    centre_key = f"centre_{unit.value}"
-    for other in Unit:
-        if other is not unit and f"centre_{other.value}" in section:
-            raise section.error(f"centre_{other.value}", f'the file\'s units are "{unit.value}": write {centre_key}')
-    section.refuse_unknown((centre_key, "axis", "fixed", "moving", "positive", "order", "source", "limits_deg"))
-    section.require((centre_key, "axis", "fixed", "moving"))
-    for key in ("positive", "order", "source"):
-        if key in section:
-            section.text(key)
-    axis = section.vector("axis", length=3)
-    largest = float(np.abs(axis).max())
-    if not 1.0 / _LONGEST_AXIS < largest < _LONGEST_AXIS:
-        raise section.error(
-            "axis", f"found {axis.tolist()}, which is too short or too long to give a direction; scale it to length 1"
-        )
-    fixed, moving = section.texts("fixed"), section.texts("moving")
-    if not moving:
-        raise section.error("moving", "is empty; list every bone that the joint moves")
-    both = sorted(set(fixed) & set(moving))
-    if both:
-        raise section.error("moving", f"{both[0]!r} is listed in fixed too; remove it from one of the two")
-    return Joint(name, section.vector(centre_key, length=3) * unit.in_mm, axis, fixed, moving, _limits(section))
-
-
-_LONGEST_AXIS = 1e9
-"""Longer axes, and shorter ones than its inverse, are slips rather than directions; units do not matter here."""
-
-
-def _limits(section: Section) -> tuple[float, float]:
-    if "limits_deg" not in section:
-        return _NO_LIMITS
-    low, high = (float(value) for value in section.vector("limits_deg", length=2))
-    if not low <= 0.0 <= high or low == high:
-        raise section.error(
-            "limits_deg", f"found [{low:g}, {high:g}]; expected [low, high] with the rest pose, 0 degrees, inside"
-        )
-    return low, high
-
-
-def _coupling(name: str, section: Section) -> Coupling:
-    section.refuse_unknown(_COUPLING)
-    section.require(("follows", "fraction", "bone"))
-    return Coupling(name, section.text("follows"), section.number("fraction"), section.text("bone"))
 
 
 def _product(motions: list[RigidMotion]) -> RigidMotion:

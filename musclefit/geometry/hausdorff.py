@@ -14,6 +14,9 @@ from musclefit.geometry.meshes import TriMesh
 MOST_TRIANGLES = 400_000
 """Triangles under examination at which the search stops and gives the bracket it has."""
 
+_RELATIVE = 0.02
+"""The bracket's width over the distance, where that is wider than the tolerance."""
+
 _ROUNDING_MM = 1e-9
 """Distances up to this are rounding, mm; nobody is asked about them."""
 
@@ -56,7 +59,7 @@ def reach(
     ----------
     surface, other : TriMesh
     tolerance_mm : float
-        The bracket's width to stop at.
+        The bracket's width to stop at; a fiftieth of the distance where that is more.
     where : callable
         (N, 3) points of the first surface -> (N,) which of them to ask about. Triangles none of whose corners and
         middles are asked about, at the size that they have been split to, are passed over whole.
@@ -87,11 +90,12 @@ def reach(
         ignored = ~asked.any(axis=1)
         passed_over += _area(corners[ignored])
         bounds = _bounds(corners, targets, faces)
-        open_ = (bounds > low + tolerance_mm) & ~ignored
+        enough = max(low + tolerance_mm, (1.0 + _RELATIVE) * low)
+        open_ = (bounds > enough) & ~ignored
         settled = max(settled, float(bounds[~open_ & ~ignored].max(initial=0.0)))
         if not open_.any() or 4 * int(open_.sum()) > MOST_TRIANGLES:
             left = float(bounds[open_].max(initial=0.0))
-            return Reach(low, max(low, min(settled, low + tolerance_mm), left), place, passed_over)
+            return Reach(low, max(low, settled, left), place, passed_over)
         corners = _quartered(corners[open_])
 
 

@@ -42,11 +42,14 @@ class Pace:
         with their square.
     share : float
         How much of the rule's limit a step may use, in (0, 1].
+    stops : tuple of float
+        Rising moments in (0, 1), such as a path's keyframes, that no stretch passes over.
     """
 
     max_steps: int
     min_steps: int = 1
     share: float = 1.0
+    stops: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +91,17 @@ def march(stepper: Stepper, *, rule: Rule, tested: Points, pace: Pace, progress:
             if stretches == pace.max_steps:
                 status = Status.OUT_OF_STEPS
                 break
-            stretch = _stretch(stepper, rule=rule, points=points, start=done, reach=reach, share=pace.share)
+            stretch = _stretch(stepper, rule=rule, points=points, start=done, reach=reach, pace=pace)
             records.extend(stretch.records)
             if stretch.end - done < SHORTEST_REACH * (1.0 - done):
                 status = Status.STALLED
                 break
             stretches += 1
             steps.extend(stretch.steps)
-            reach = 1.0 if stepper.shortens_exactly else stretch.end - done
+            if stepper.shortens_exactly:
+                reach = 1.0
+            elif stretch.records[0].rejected:
+                reach = stretch.end - done
             points, done = stretch.moved, stretch.end
             tick(done)
     return Deformation(tuple(steps), tuple(records), status)
@@ -127,11 +133,13 @@ def points_beside(handles: Points) -> Points:
     return (handles[:, None, :] + directions).reshape(-1, n)
 
 
-def _stretch(stepper: Stepper, *, rule: Rule, points: Points, start: float, reach: float, share: float) -> _Stretch:
+def _stretch(stepper: Stepper, *, rule: Rule, points: Points, start: float, reach: float, pace: Pace) -> _Stretch:
     """The longest stretch tried from ``start`` whose steps all pass the rule; one of no length where none is left."""
     rejected: list[float] = []
+    share = pace.share
+    stop = next((moment for moment in pace.stops if moment > start), 1.0)
     # What floating point leaves of a path cut into equal parts belongs to the last of them.
-    end = 1.0 if start + reach > 1.0 - SHORTEST_REACH else start + reach
+    end = stop if start + reach > stop - SHORTEST_REACH else start + reach
     while True:
         tried = _try(stepper, rule, points, start=start, end=end, share=share)
         if not isinstance(tried, _Failure):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -203,6 +204,27 @@ def paired(source: LandmarkTable, target: LandmarkTable) -> LandmarkTable:
         coordinate_system=frames[0] or frames[1],
         findings=tuple(findings),
     )
+
+
+def positions_of(table: LandmarkTable, names: Sequence[str]) -> Points:
+    """(m, 3) positions of the landmarks of these names, in their order, mm.
+
+    Raises
+    ------
+    LandmarkError
+        A name that the table does not have, or a table with target columns.
+    """
+    if table.targets is not None:
+        raise LandmarkError(f"{table.path}: has target columns, but a keyframe is where the landmarks are; remove them")
+    index = {name: i for i, name in enumerate(table.names)}
+    missing = [name for name in names if name not in index]
+    if missing:
+        said = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
+        raise LandmarkError(
+            f"{table.path}: a keyframe says where every landmark is; {len(missing)} are missing: {said}"
+        )
+    positions: Points = table.positions[[index[name] for name in names]]
+    return positions
 
 
 def _bone(source: LandmarkTable, i: int, target: LandmarkTable, j: int) -> str:

@@ -13,14 +13,14 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io.landmarks import LandmarkTable, paired, read_landmarks
+from musclefit.io.landmarks import LandmarkTable, paired, positions_of, read_landmarks
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.io.surfaces import read_anatomy, read_surface
 from musclefit.io.tables import parse_table, parse_toml
 from musclefit.progress import Progress, Silent
-from musclefit.rig.handles import Handles
+from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import (
     FurtherPoints,
@@ -33,9 +33,22 @@ from musclefit.rig.job import (
     path_by_pairs,
     require_bones,
 )
-from musclefit.rig.joints import JointMotions, parse_joints
-from musclefit.rig.model import CageCrossings, CageDrive, Drive, JointDrive, LandmarkDrive, Rig, Unit
+from musclefit.rig.joints import JointSystem, parse_joints
+from musclefit.rig.model import (
+    CageCrossings,
+    CageDrive,
+    Drive,
+    JointDrive,
+    Keyed,
+    LandmarkDrive,
+    PathKind,
+    Rig,
+    SkeletonDrive,
+    Unit,
+)
+from musclefit.rig.paths import motions_of, skeleton_of
 from musclefit.rig.section import suggestion
+from musclefit.rig.skeleton import SkeletonPath
 from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table import apply_overrides, parse_rig
 
@@ -90,11 +103,11 @@ def read_rig(
     further = _read_further(rig, points, files)
     driver = _read_driver(rig, files)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
-    motions = None
+    motions, joints = None, None
     if isinstance(driver, _OnBones):
-        motions = driver.motions
+        motions, joints = driver.motions, driver.joints
         _require_bones(anatomy, driver, files)
-        findings += joint_findings(anatomy, motions.joints, subject=rig_path.name)
+        findings += joint_findings(anatomy, joints, subject=rig_path.name)
     findings += (*driver.findings, *_frame_findings(anatomy, driver.frame, files))
     findings += outside_findings(further, anatomy)
     handles, handle_path = _driven(rig, anatomy, driver=driver, files=files)
@@ -108,9 +121,10 @@ def read_rig(
         hashes=files.hashes,
         name=rig_path.stem,
         source=str(rig_path),
-        joints=motions.joints if motions else None,
+        joints=joints,
         overrides=tuple(overrides),
         further=further,
+        stops=_stops(rig.drive),
     )
 
 
@@ -147,10 +161,11 @@ def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
             landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
             motion = files.find(drive.motion, key="drive.motion") if drive.motion else ""
             return replace(drive, joints=joints, landmarks=landmarks, motion=motion)
-        case LandmarkDrive() | CageDrive():
+        case LandmarkDrive() | CageDrive() | SkeletonDrive():
             source = files.find(drive.source, key="drive.source")
             target = files.find(drive.target, key="drive.target") if drive.target else ""
-            return replace(drive, source=source, target=target)
+            keyframes = tuple(replace(k, file=files.find(k.file, key="drive.keyframes")) for k in drive.keyframes)
+            return replace(drive, source=source, target=target, keyframes=keyframes)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -161,43 +176,96 @@ class _Pairs:
     target: Points
     findings: tuple[Finding, ...]
     frame: str = ""
+    keyframes: tuple[tuple[float, Points], ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _OnSkeleton:
+    """A drive of a curve: its landmarks with their sections, and their way."""
+
+    handles: Handles
+    path: SkeletonPath
+    findings: tuple[Finding, ...]
+    frame: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _OnBones:
     """A drive of joints: landmarks from a file, or None to spread ``per_bone`` over each bone."""
 
-    motions: JointMotions
+    motions: BoneMotions
+    joints: JointSystem
     landmarks: Handles | None
     per_bone: int
     findings: tuple[Finding, ...] = ()
     frame: str = ""
 
 
-def _read_driver(rig: Rig, files: NamedFiles) -> _Pairs | _OnBones:
+_Driver = _Pairs | _OnBones | _OnSkeleton
+
+
+def _read_driver(rig: Rig, files: NamedFiles) -> _Driver:
     match rig.drive:
         case LandmarkDrive():
             return _read_landmark_pairs(rig.drive, files)
+        case SkeletonDrive():
+            return _read_skeleton(rig.drive, files)
         case CageDrive():
             return _read_cages(rig.drive, files)
         case JointDrive():
-            return _read_joint_drive(rig.drive, files)
+            return _read_joint_drive(rig.drive, files, kind=rig.deformer.path)
 
 
-def _read_joint_drive(drive: JointDrive, files: NamedFiles) -> _OnBones:
+def _read_joint_drive(drive: JointDrive, files: NamedFiles, *, kind: PathKind) -> _OnBones:
     data = files.read(Path(drive.joints), key="drive.joints")
     joints = parse_joints(parse_table(data, source=drive.joints), source=drive.joints)
     try:
-        motions = joints.along(dict(drive.pose))
+        joints.check_pose(dict(drive.pose))
     except RigError as error:
         raise files.named("drive.pose", error) from None
+    try:
+        motions = motions_of(drive, joints, kind=kind)
+    except RigError as error:
+        raise files.named("drive.keyframes", error) from None
     if not drive.landmarks:
-        return _OnBones(motions, None, drive.landmarks_per_bone)
+        return _OnBones(motions, joints, None, drive.landmarks_per_bone)
     table = _read_bone_landmarks(drive, files)
-    return _OnBones(motions, _handles(table), drive.landmarks_per_bone, table.findings, table.coordinate_system)
+    landmarks = _handles(table)
+    return _OnBones(motions, joints, landmarks, drive.landmarks_per_bone, table.findings, table.coordinate_system)
 
 
 def _read_landmark_pairs(drive: LandmarkDrive, files: NamedFiles) -> _Pairs:
+    table, targets = _with_targets(drive, files)
+    keys = _landmark_keyframes(drive, files, names=table.names)
+    return _Pairs(_handles(table), targets, table.findings, table.coordinate_system, keyframes=keys)
+
+
+def _read_skeleton(drive: SkeletonDrive, files: NamedFiles) -> _OnSkeleton:
+    table, targets = _with_targets(drive, files)
+    keys = _landmark_keyframes(drive, files, names=table.names)
+    try:
+        skeleton = skeleton_of(drive, table.positions, targets, keyframes=keys, name=Path(drive.source).stem)
+    except LandmarkError as error:
+        raise files.named("drive", error) from None
+    return _OnSkeleton(*skeleton, table.findings, table.coordinate_system)
+
+
+def _landmark_keyframes(
+    drive: LandmarkDrive | SkeletonDrive, files: NamedFiles, *, names: Sequence[str]
+) -> tuple[tuple[float, Points], ...]:
+    """Moments and (m, 3) places, in the order of the names, mm."""
+    found = []
+    for key in drive.keyframes:
+        table = _landmarks(key.file, files, key="drive.keyframes", drive=drive)
+        try:
+            found.append((key.at, positions_of(table, names)))
+        except LandmarkError as error:
+            raise files.named("drive.keyframes", error) from None
+    return tuple(found)
+
+
+def _with_targets(drive: LandmarkDrive | SkeletonDrive, files: NamedFiles) -> tuple[LandmarkTable, Points]:
+    """The landmarks and where they go."""
     table = _landmarks(drive.source, files, key="drive.source", drive=drive)
     if drive.target:
         target = _landmarks(drive.target, files, key="drive.target", drive=drive)
@@ -207,10 +275,15 @@ def _read_landmark_pairs(drive: LandmarkDrive, files: NamedFiles) -> _Pairs:
             raise files.named("drive.target", error) from None
     if table.targets is None:
         raise LandmarkError(
-            f"{files.rig}: drive.source: {drive.source} has no target columns ({drive.target_prefix}x_mm, ...); add "
+            f"{files.rig}: drive.source: {drive.source} has no target columns ({_prefixes(drive)[1]}x_mm, ...); add "
             "them, say how they start in drive.target_prefix, or name a second file in drive.target"
         )
-    return _Pairs(_handles(table), table.targets, table.findings, table.coordinate_system)
+    return table, table.targets
+
+
+def _prefixes(drive: LandmarkDrive | SkeletonDrive) -> tuple[str, str]:
+    """What columns of positions and of targets start with."""
+    return (drive.source_prefix, drive.target_prefix) if isinstance(drive, LandmarkDrive) else ("", "target_")
 
 
 def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
@@ -241,15 +314,25 @@ def _read_cages(drive: CageDrive, files: NamedFiles) -> _Pairs:
             f"{'; '.join(found.message for found in crossings)}. Correct the cages, or go on all the same with "
             f'drive.crossings = "{CageCrossings.ACCEPT}"'
         )
-    return _Pairs(*pairs, (*findings, *more, *crossings))
+    keys = []
+    for key in drive.keyframes:
+        cage, found = _cage(key.file, files, key="drive.keyframes", units=drive.units)
+        try:
+            keys.append((key.at, cage_handles(source, cage)[1]))
+        except MeshError as error:
+            raise files.named("drive.keyframes", error) from None
+        findings = (*findings, *found)
+    return _Pairs(*pairs, (*findings, *more, *crossings), keyframes=tuple(keys))
 
 
-def _landmarks(path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive) -> LandmarkTable:
+def _landmarks(
+    path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive | SkeletonDrive
+) -> LandmarkTable:
     files.read(Path(path), key=key)
     try:
         if isinstance(drive, JointDrive):
             return read_landmarks(Path(path), units=drive.units)
-        prefixes = drive.source_prefix, drive.target_prefix
+        prefixes = _prefixes(drive)
         return read_landmarks(Path(path), units=drive.units, source_prefix=prefixes[0], target_prefix=prefixes[1])
     except InputError as error:
         raise files.named(key, error) from None
@@ -308,24 +391,31 @@ def _frame_findings(anatomy: Anatomy, frame: str, files: NamedFiles) -> tuple[Fi
     return (Finding(files.rig.name, "frame-not-stated", message),)
 
 
+def _stops(drive: Drive) -> tuple[float, ...]:
+    """The moments of the keyframes."""
+    return tuple(key.at for key in drive.keyframes) if isinstance(drive, Keyed) else ()
+
+
 def _require_bones(anatomy: Anatomy, driver: _OnBones, files: NamedFiles) -> None:
     try:
-        require_bones(anatomy, driver.motions.joints)
+        require_bones(anatomy, driver.joints)
     except RigError as error:
         raise files.named("drive.joints", error) from None
 
 
-def _driven(rig: Rig, anatomy: Anatomy, *, driver: _Pairs | _OnBones, files: NamedFiles) -> tuple[Handles, HandlePath]:
+def _driven(rig: Rig, anatomy: Anatomy, *, driver: _Driver, files: NamedFiles) -> tuple[Handles, HandlePath]:
     """The handles and their path, checked."""
     path: HandlePath
     try:
         match driver:
-            case _Pairs(handles=handles, target=target):
-                path = path_by_pairs(handles, target)
-            case _OnBones(motions=motions, landmarks=landmarks, per_bone=per_bone):
-                handles = landmarks or bone_landmarks(anatomy, motions.joints.bones(), per_bone=per_bone)
+            case _Pairs(handles=handles, target=target, keyframes=keyframes):
+                path = path_by_pairs(handles, target, kind=rig.deformer.path, keyframes=keyframes)
+            case _OnSkeleton(handles=handles, path=path):
+                pass
+            case _OnBones(motions=motions, joints=joints, landmarks=landmarks, per_bone=per_bone):
+                handles = landmarks or bone_landmarks(anatomy, joints.bones(), per_bone=per_bone)
                 path = path_by_joints(handles, motions, kind=rig.deformer.path)
-        check_handles(handles, path, anatomy)
+        check_handles(handles, path, anatomy=anatomy, stops=_stops(rig.drive))
     except LandmarkError as error:
         raise files.named("drive", error) from None
     return handles, path

@@ -70,7 +70,7 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
     """
     settings = job.rig.deformer
     rule = rule_for(settings.step, settings.step_rule)
-    pace = Pace(settings.max_steps, settings.min_steps, settings.limit_share)
+    pace = Pace(settings.max_steps, settings.min_steps, settings.limit_share, job.stops)
     if job.rig.bones.rigid:
         stepper, tested = _bone_stepper(job, points)
         return Deformed(march(stepper, rule=rule, tested=tested, pace=pace, progress=progress), tuple(stepper.groups))

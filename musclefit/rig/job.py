@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
@@ -18,6 +18,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, StraightPath
 from musclefit.rig.joints import JointSystem
 from musclefit.rig.model import PathKind, Rig
+from musclefit.rig.paths import KeyframePath, ScrewPath
 from musclefit.rig.section import suggestion
 
 SAME_PLACE_MM = 1e-6
@@ -77,6 +78,8 @@ class Job:
         The ``key=value`` that changed the rig file's settings.
     further : tuple of FurtherPoints
         Files whose points go where the map takes them.
+    stops : tuple of float
+        Moments of the path's keyframes, which no step passes over.
     """
 
     rig: Rig
@@ -91,26 +94,44 @@ class Job:
     joints: JointSystem | None = None
     overrides: tuple[str, ...] = ()
     further: tuple[FurtherPoints, ...] = ()
+    stops: tuple[float, ...] = ()
 
 
-def path_by_pairs(handles: Handles, target: Points) -> StraightPath:
-    """Straight lines from the handles to ``target``, (m, 3) mm.
+def path_by_pairs(
+    handles: Handles,
+    target: Points,
+    *,
+    kind: PathKind = PathKind.STRAIGHT,
+    keyframes: Sequence[tuple[float, Points]] = (),
+) -> Path:
+    """From the handles to ``target``, (m, 3) mm: on straight lines, through keyframes, or with their bones on screws.
 
     Raises
     ------
     LandmarkError
-        Another number of targets than of handles, or a target that is not finite.
+        Another number of targets than of handles, a target that is not finite, or screws where no bone owns handles
+        that fix its turn.
     """
     if target.shape != handles.source.shape:
         raise LandmarkError(f"{len(handles)} handles have {len(target)} targets; give one target for each")
     bad = np.flatnonzero(~np.isfinite(target).all(axis=1))
     if bad.size:
         raise LandmarkError(f"the target of handle {handles.names[bad[0]]!r} is not finite: {target[bad[0]]}")
-    return StraightPath(handles.source, target)
+    if kind is PathKind.SCREWS:
+        if not any(handles.owner):
+            raise LandmarkError(
+                "no landmark names a bone, so none can go on a screw; add a column bone, or write "
+                'deformer.path = "straight"'
+            )
+        return ScrewPath(handles, target)
+    if not keyframes:
+        return StraightPath(handles.source, target)
+    moments = (0.0, *(at for at, _ in keyframes), 1.0)
+    return KeyframePath(moments, np.stack([handles.source, *(places for _, places in keyframes), target]))
 
 
 def path_by_joints(handles: Handles, motions: BoneMotions, *, kind: PathKind) -> Path:
-    """The handles on their bones: carried all the way (``joints``), or straight to where the pose puts them.
+    """The handles on their bones: carried all the way, or straight to where the pose puts them (``straight``).
 
     Raises
     ------
@@ -127,7 +148,7 @@ def path_by_joints(handles: Handles, motions: BoneMotions, *, kind: PathKind) ->
                 f"{suggestion(owner, known)}"
             )
     carried = BonePath(handles, motions)
-    return carried if kind is PathKind.JOINTS else StraightPath(handles.source, carried.position(1.0))
+    return StraightPath(handles.source, carried.position(1.0)) if kind is PathKind.STRAIGHT else carried
 
 
 def cage_handles(source: TriMesh, target: TriMesh) -> tuple[Handles, Points]:
@@ -179,11 +200,11 @@ def cage_crossings(cage: TriMesh, *, name: str) -> tuple[Finding, ...]:
     )
 
 
-def check_handles(handles: Handles, path: Path, anatomy: Anatomy) -> None:
+def check_handles(handles: Handles, path: Path, *, anatomy: Anatomy, stops: Sequence[float] = ()) -> None:
     """Raise LandmarkError when the handles cannot drive this anatomy: cheap, so that long work does not fail late.
 
-    Two handles at one place or sent to one place, a bone that the anatomy does not have, handles far outside the
-    anatomy, or handles so close together that they are likely in other units.
+    Two handles at one place, sent to one place or there at once at a keyframe, a bone that the anatomy does not have,
+    handles far outside the anatomy, or handles so close together that they are likely in other units.
     """
     bones = [tissue.name for tissue in anatomy.of_kind(TissueKind.BONE)]
     for name, owner in zip(handles.names, handles.owner, strict=True):
@@ -194,6 +215,8 @@ def check_handles(handles: Handles, path: Path, anatomy: Anatomy) -> None:
             )
     _require_apart(handles, handles.source, said="stand at one place")
     _require_apart(handles, path.position(1.0), said="are sent to one place")
+    for at in stops:
+        _require_apart(handles, path.position(at), said=f"are sent to one place at {at:g} of the way")
     _require_near(handles, anatomy)
 
 

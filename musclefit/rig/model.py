@@ -13,6 +13,7 @@ from itertools import pairwise
 from musclefit.anatomy.layers import Gaps
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.rig.keyframes import PlaceKey, PoseKey, require_moments
 from musclefit.rig.motion import Interpolation
 
 
@@ -75,6 +76,7 @@ class PathKind(StrEnum):
 
     STRAIGHT = "straight"
     JOINTS = "joints"
+    SCREWS = "screws"
 
 
 class BoneLimit(StrEnum):
@@ -133,6 +135,10 @@ class LandmarkDrive:
     units: Unit = Unit.MILLIMETRE
     source_prefix: str = ""
     target_prefix: str = "target_"
+    keyframes: tuple[PlaceKey, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_moments(self.keyframes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +163,10 @@ class JointDrive:
     motion: str = ""
     interpolation: Interpolation = Interpolation.CUBIC
     frames: int = 30
+    keyframes: tuple[PoseKey, ...] = ()
 
     def __post_init__(self) -> None:
+        require_moments(self.keyframes)
         if self.frames < 2:
             raise RigError(f"drive.frames: found {self.frames}; expected at least 2, the first and the last pose")
         if not self.pose:
@@ -177,9 +185,49 @@ class CageDrive:
     target: str
     units: Unit = Unit.MILLIMETRE
     crossings: CageCrossings = CageCrossings.REFUSE
+    keyframes: tuple[PlaceKey, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_moments(self.keyframes)
 
 
-Drive = LandmarkDrive | JointDrive | CageDrive
+@dataclass(frozen=True, slots=True)
+class SkeletonDrive:
+    """A curve of landmarks that bends and twists with the sections it carries (`musclefit.rig.skeleton`).
+
+    ``source`` and ``target`` are as in `LandmarkDrive`, the landmarks in order along the curve. ``ring_points`` stand
+    around each of them in a circle of ``ring_mm``, the first along ``normal``. ``twist_deg`` is the turn of each
+    station about the curve at the destination; none is no twist.
+
+    Raises
+    ------
+    RigError
+        Fewer than three points in a ring, a radius that is not positive, or keyframes out of order.
+    """
+
+    source: str
+    ring_mm: float
+    normal: tuple[float, ...]
+    target: str = ""
+    units: Unit = Unit.MILLIMETRE
+    ring_points: int = 4
+    twist_deg: tuple[float, ...] = ()
+    keyframes: tuple[PlaceKey, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_moments(self.keyframes)
+        if self.ring_points < 3:
+            raise RigError(f"drive.ring_points: found {self.ring_points}; expected at least 3")
+        if not 0.0 < self.ring_mm < math.inf:
+            raise RigError(f"drive.ring_mm: found {self.ring_mm}; expected a finite length above 0, in mm")
+        if len(self.normal) != 3:
+            raise RigError(f"drive.normal: has {len(self.normal)} entries; expected a list of 3 numbers")
+
+
+Keyed = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive
+"""Drives that can go through keyframes."""
+
+Drive = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,8 +476,10 @@ class Rig:
                 f'deformer.path: found "{PathKind.JOINTS}", but no joint drives this rig; write "{PathKind.STRAIGHT}", '
                 'or a [drive] of kind "joints"'
             )
+        _require_path(self.drive, self.deformer.path)
         if self.bones.rigid and (
-            self.deformer.path is not PathKind.JOINTS
+            not isinstance(self.drive, JointDrive)
+            or self.deformer.path is PathKind.STRAIGHT
             or self.deformer.step is not StepKind.CAYLEY
             or self.deformer.tested_at is not TestedAt.ALL_POINTS
         ):
@@ -442,3 +492,16 @@ class Rig:
 def _at_least_one(key: str, value: int) -> None:
     if value < 1:
         raise RigError(f"{key}: found {value}; expected at least 1")
+
+
+def _require_path(drive: Drive, path: PathKind) -> None:
+    """Raise RigError where the drive has no such path, or keyframes that the path would not go through."""
+    if isinstance(drive, SkeletonDrive) and path is not PathKind.STRAIGHT:
+        raise RigError('deformer.path: has no effect on a drive of kind "skeleton", which bends; remove it')
+    if path is PathKind.SCREWS and not isinstance(drive, JointDrive | LandmarkDrive):
+        raise RigError('deformer.path: only joints and landmarks know bones that could go on screws; write "straight"')
+    meets = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.STRAIGHT
+    if isinstance(drive, Keyed) and drive.keyframes and path is not meets:
+        raise RigError(
+            f'drive.keyframes: have no effect on path "{path}"; write deformer.path = "{meets}" or remove them'
+        )

@@ -63,6 +63,13 @@ class Section:
             raise self._wrong(key, "a table")
         return Section(value, self.source, self.dotted(key))
 
+    def sections(self, key: str) -> tuple[Section, ...]:
+        """The tables listed under ``key``, numbered from 0 in messages."""
+        values = self.table[key]
+        if not isinstance(values, list | tuple) or not all(isinstance(value, Mapping) for value in values):
+            raise self._wrong(key, "a list of tables, such as [{ at = 0.5 }]")
+        return tuple(Section(value, self.source, f"{self.dotted(key)}[{k}]") for k, value in enumerate(values))
+
     def text(self, key: str) -> str:
         """Text that is not empty."""
         value = self.table[key]

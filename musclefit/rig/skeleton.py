@@ -11,7 +11,7 @@ frames afterwards, so that it may exceed half a turn.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -140,6 +140,8 @@ class SkeletonPath:
 
     skeleton: Skeleton
     poses: tuple[SkeletonPose, ...]
+    _keys: tuple[_Key, ...] = field(init=False, repr=False)
+    """Rest and poses with their frames, computed once."""
 
     def __post_init__(self) -> None:
         moments = [0.0, *(pose.at for pose in self.poses)]
@@ -151,11 +153,11 @@ class SkeletonPath:
                     f"the pose at {pose.at:g} has {len(pose.curve)} stations, the skeleton "
                     f"{len(self.skeleton.curve)}; every pose moves every station"
                 )
-        self._keys()
+        object.__setattr__(self, "_keys", self._with_frames())
 
     def position(self, t: float) -> Points:
         """(k + k q, 3) landmarks, then their sections, at ``t`` in [0, 1], mm."""
-        keys = self._keys()
+        keys = self._keys
         later = next((j for j in range(1, len(keys)) if t <= keys[j].at), len(keys) - 1)
         before, after = keys[later - 1], keys[later]
         share = (t - before.at) / (after.at - before.at)
@@ -167,7 +169,7 @@ class SkeletonPath:
         twist = (1.0 - share) * before.twist + share * after.twist
         return _placed(curve, _twisted(frames, twist), self.skeleton.section)
 
-    def _keys(self) -> list[_Key]:
+    def _with_frames(self) -> tuple[_Key, ...]:
         """Rest and poses with their frames."""
         skeleton = self.skeleton
         keys = [_Key(0.0, skeleton.curve, skeleton.frames(), np.zeros(len(skeleton.curve)))]
@@ -176,7 +178,7 @@ class SkeletonPath:
             normal = smallest_rotation(first[:, 2], tangents(pose.curve)[0]) @ first[:, 0]
             frames = rotation_minimising_frames(pose.curve, normal=normal)
             keys.append(_Key(pose.at, pose.curve, frames, np.deg2rad(pose.twist_deg)))
-        return keys
+        return tuple(keys)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -15,6 +15,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.rig.keyframes import PlaceKey, PoseKey
 from musclefit.rig.model import (
     AnatomySource,
     BackendKind,
@@ -28,6 +29,7 @@ from musclefit.rig.model import (
     Limits,
     MeshSettings,
     Rig,
+    SkeletonDrive,
     StepKind,
     SurfaceSettings,
     TetSettings,
@@ -40,6 +42,7 @@ Record = TypeVar(
     LandmarkDrive,
     JointDrive,
     CageDrive,
+    SkeletonDrive,
     DeformerSettings,
     BoneSettings,
     SurfaceSettings,
@@ -58,12 +61,14 @@ class DriveKind(StrEnum):
     LANDMARKS = "landmarks"
     JOINTS = "joints"
     CAGE = "cage"
+    SKELETON = "skeleton"
 
 
-DRIVES: Mapping[DriveKind, type[LandmarkDrive] | type[JointDrive] | type[CageDrive]] = {
+DRIVES: Mapping[DriveKind, type[Drive]] = {
     DriveKind.LANDMARKS: LandmarkDrive,
     DriveKind.JOINTS: JointDrive,
     DriveKind.CAGE: CageDrive,
+    DriveKind.SKELETON: SkeletonDrive,
 }
 
 _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
@@ -186,7 +191,9 @@ def _anatomy(section: Section) -> AnatomySource:
 def _drive(section: Section) -> Drive:
     section.require(("kind",))
     kind = section.choice("kind", DriveKind)
-    others = {f.name: str(other) for other in DRIVES if other is not kind for f in fields(DRIVES[other])}
+    others = {
+        f.name: str(other) for other in reversed(list(DRIVES)) if other is not kind for f in fields(DRIVES[other])
+    }
     known = {f.name for f in fields(DRIVES[kind])}
     for key in section.table:
         if key in others and key not in known:
@@ -200,6 +207,8 @@ def _drive(section: Section) -> Drive:
             return _record(LandmarkDrive, section, besides=("kind",))
         case DriveKind.CAGE:
             return _record(CageDrive, section, besides=("kind",))
+        case DriveKind.SKELETON:
+            return _record(SkeletonDrive, section, besides=("kind",))
         case DriveKind.JOINTS:
             if "landmarks" in section and "landmarks_per_bone" in section:
                 raise section.error("landmarks_per_bone", "has no effect beside drive.landmarks; remove one of the two")
@@ -243,6 +252,10 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     dotted = section.dotted(key)
     if dotted == "drive.pose":
         return _pose(section.section(key))
+    if hint == tuple[PoseKey, ...]:
+        return tuple(PoseKey(key.number("at"), _pose(key, besides=("at",))) for key in section.sections(key))
+    if hint == tuple[PlaceKey, ...]:
+        return tuple(_place_key(section, key) for key in section.sections(key))
     if dotted == "anatomy.kinds":
         kinds = section.section(key)
         return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
@@ -255,9 +268,6 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return section.numbers(key)
     if issubclass(hint, StrEnum):
         return section.choice(key, hint)
-    if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
-        lengths = section.section(key)
-        return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
     readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}
     return readers[hint](key)
 
@@ -269,13 +279,23 @@ def _listed(section: Section, key: str) -> tuple[str, ...]:
     return values
 
 
-def _pose(section: Section) -> tuple[tuple[str, float], ...]:
-    for key in section.table:
+def _place_key(drive: Section, key: Section) -> PlaceKey:
+    """A keyframe of places; only a skeleton has a twist."""
+    twisted = drive.table["kind"] == DriveKind.SKELETON
+    key.refuse_unknown(("at", "file", "twist_deg") if twisted else ("at", "file"))
+    key.require(("at", "file"))
+    return PlaceKey(key.number("at"), key.text("file"), key.numbers("twist_deg") if "twist_deg" in key else ())
+
+
+def _pose(section: Section, *, besides: tuple[str, ...] = ()) -> tuple[tuple[str, float], ...]:
+    section.require(besides)
+    joints = [key for key in section.table if key not in besides]
+    for key in joints:
         if not key.endswith(_POSE_SUFFIX) or key == _POSE_SUFFIX:
             raise section.error(
                 key, f"must be the name of a joint and its unit, such as elbow{_POSE_SUFFIX}; angles are in degrees"
             )
-    return tuple((key.removesuffix(_POSE_SUFFIX), section.number(key)) for key in section.table)
+    return tuple((key.removesuffix(_POSE_SUFFIX), section.number(key)) for key in joints)
 
 
 def _leave_other_backends(table: dict[str, Any], overrides: Sequence[str]) -> None:

@@ -85,16 +85,10 @@ def carried_finely(
     where = anatomy.slices()
     works = [_Work(t.name, t.surface, moved[where[t.name]], jacobians[where[t.name]]) for t in anatomy]
     splits = dict.fromkeys((t.name for t in anatomy), 0)
-    bent_left = 0
+    bent_left, open_ = 0, [w for w in works if w.name not in whole]
     with (progress or Silent()).stage("refine surfaces") as tick:
         for done in range(MAX_ROUNDS + 1):
-            marked = [
-                (w, e, b)
-                for w in works
-                if w.name not in whole
-                for e, b in [_bent(w, tolerance_mm, longest_mm)]
-                if b.any()
-            ]
+            marked = [(w, e, b) for w in open_ for e, b in [_bent(w, tolerance_mm, longest_mm)] if b.any()]
             bent_left = sum(int(bent.sum()) for _, _, bent in marked)
             if not marked or done == MAX_ROUNDS:
                 break
@@ -102,6 +96,7 @@ def carried_finely(
                 work.surface = split_edges(work.surface, edges, bent)
                 splits[work.name] += int(bent.sum())
             _move_new(marked, deformation)
+            open_ = [work for work, _, _ in marked]
             tick((done + 1) / MAX_ROUNDS)
     tissues = [(anatomy[w.name], w) for w in works]
     rest = Anatomy(tuple(type(t)(t.name, t.kind, w.surface) for t, w in tissues), anatomy.frame)

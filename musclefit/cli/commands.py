@@ -18,12 +18,14 @@ import musclefit
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.cage import cage
 from musclefit.cli.fit_joint import fit_joint
+from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.progress import TimedStages
+from musclefit.cli.repair import repair
 from musclefit.cli.sequence import sequence
 from musclefit.cli.summary import print_inspection, print_run
 from musclefit.cli.warp_image import warp_image
-from musclefit.errors import InputError, MusclefitError
+from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
 from musclefit.rig.model import BackendKind, Unit
 
@@ -150,7 +152,7 @@ def check(
         check_writable(out)
     with TimedStages(shown=not quiet) as stages:
         source = paths[0] if len(paths) == 1 and paths[0].is_dir() else paths
-        read = read_anatomy(source, units=Unit(units), kinds=_kinds(kind), progress=stages)
+        read = read_anatomy(source, units=Unit(units), kinds=parse_kinds(kind), progress=stages)
         from musclefit.pipeline.inspect import inspect
 
         found = inspect(read.anatomy, findings=read.findings, title=str(paths[0]), progress=stages)
@@ -171,6 +173,7 @@ app.command(warp_image, name="warp-image", sort_key=4)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
+app.command(repair, sort_key=3)
 app.command(cage, sort_key=6)
 
 
@@ -256,17 +259,6 @@ def _written(folder: Path) -> Any:
 
 def _print_json(report: Any) -> None:
     print(json_text.dumps(report, indent=2, allow_nan=False))
-
-
-def _kinds(given: Sequence[str]) -> tuple[tuple[str, TissueKind], ...]:
-    kinds = []
-    for text in given:
-        pattern, _, kind = text.partition("=")
-        if not pattern or kind not in set(TissueKind):
-            known = ", ".join(TissueKind)
-            raise InputError(f"--kind {text!r}: write name=kind, for example femur=bone; known kinds: {known}")
-        kinds.append((pattern, TissueKind(kind)))
-    return tuple(kinds)
 
 
 def _refuse(message: str) -> int:

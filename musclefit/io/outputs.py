@@ -159,6 +159,17 @@ def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
     return _write_folder(folder, fill, to_json(report))
 
 
+def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json) -> tuple[Path, ...]:
+    """Write surface files, by their paths below the folder, and a report on them; whole or not at all."""
+
+    def fill(build: Path) -> None:
+        for name, data in surfaces.items():
+            (build / name).parent.mkdir(parents=True, exist_ok=True)
+            (build / name).write_bytes(data)
+
+    return _write_folder(folder, fill, report)
+
+
 def file_names(names: Sequence[str], *, numbered: bool = False) -> dict[str, str]:
     """A file name for each name, without ending: readable, inside its folder on every system, all different.
 

@@ -168,6 +168,25 @@ def read_anatomy(
     return ReadAnatomy(Anatomy(tuple(tissues), frame), tuple(findings), MappingProxyType(hashes))
 
 
+def surface_files(source: Path) -> tuple[dict[str, Path], tuple[Finding, ...]]:
+    """The surface files that a file or a folder stands for, by tissue name, and what was passed over.
+
+    Raises
+    ------
+    InputError
+        Nothing is there, nothing there is a surface, or two files have one name.
+    """
+    if source.is_file():
+        return _by_name([source]), ()
+    paths, findings = _folder(source)
+    return _by_name(paths), tuple(findings)
+
+
+def kind_of(name: str, path: Path, kinds: Sequence[tuple[str, TissueKind]]) -> tuple[TissueKind, tuple[Finding, ...]]:
+    """The kind of a tissue, by patterns, its file's name or its folder's; see `read_anatomy`."""
+    return _kind(name, path, kinds)
+
+
 def _folder(folder: Path) -> tuple[list[Path], list[Finding]]:
     if not folder.is_dir():
         reason = "is a file, not a folder: name it under files" if folder.exists() else "is not there; correct the path"

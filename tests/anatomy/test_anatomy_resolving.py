@@ -98,7 +98,7 @@ def test_split_leaves_bones_whole():
 
 @pytest.mark.parametrize("rule", [Rule.PRIORITY, Rule.SPLIT])
 def test_three_that_meet_in_one_place_are_parted_whatever_their_order(rule):
-    meshes = [ball(3), ball(3, at=(11.0, 0.0, 0.0)), ball(3, at=(5.0, 10.0, 0.0))]
+    meshes = [ball(2), ball(2, at=(11.0, 0.0, 0.0)), ball(2, at=(5.0, 10.0, 0.0))]
     names = ["a", "b", "c"]
     one = _resolved(_anatomy(*((n, MUSCLE, m) for n, m in zip(names, meshes, strict=True))), rule)
     other = _resolved(_anatomy(*((n, MUSCLE, m) for n, m in list(zip(names, meshes, strict=True))[::-1])), rule)

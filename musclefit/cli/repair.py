@@ -1,0 +1,163 @@
+"""The command that repairs surfaces and takes overlaps away, and says all that it changed."""
+
+from __future__ import annotations
+
+import json as json_text
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from musclefit.cli.progress import TimedStages
+from musclefit.rig.model import Unit
+
+if TYPE_CHECKING:
+    from musclefit.anatomy.repairs import Repaired
+    from musclefit.anatomy.resolving import Resolved
+    from musclefit.report.repairs import RepairReport
+
+PASSED, FAILED = 0, 1
+
+PAIRS_SHOWN = 20
+"""Overlapping pairs in the terminal; all are in the report."""
+
+
+def repair(
+    source: Annotated[Path, Parameter(help="A surface file (PLY, STL, OBJ, VTP), or a folder of them.")],
+    out: Annotated[Path, Parameter(help="Folder for the repaired surfaces and report.json; or, for one file, a .ply.")],
+    /,
+    *,
+    resolve: Annotated[
+        Literal["none", "priority", "split"],
+        Parameter(
+            name="--resolve",
+            help="Take away what tissues share. priority: bone before muscle before other, then the smaller one keeps "
+            "it; split: tissues of one kind part it where they are equally deep.",
+            show_default=True,
+        ),
+    ] = "none",
+    limit_mm: Annotated[
+        float, Parameter(name="--limit-mm", help="Largest distance from the original, either way.", show_default=True)
+    ] = 0.3,
+    thicken_mm: Annotated[
+        float, Parameter(name="--thicken-mm", help="Thickness to give to open sheets; 0 refuses them.")
+    ] = 0.0,
+    stray_percent: Annotated[
+        float,
+        Parameter(
+            name="--stray-percent", help="Pieces below this share of the volume are taken out.", show_default=True
+        ),
+    ] = 0.01,
+    local_only: Annotated[
+        bool,
+        Parameter(name="--local-only", negative="", help="Never make a whole surface anew where local repair fails."),
+    ] = False,
+    units: Annotated[
+        Literal["mm", "cm", "m"],
+        Parameter(name="--units", help="Length unit of the files; written is mm.", show_default=True),
+    ] = "mm",
+    kind: Annotated[
+        tuple[str, ...],
+        Parameter(name="--kind", help="name=kind: what a tissue is, ahead of what its file name says."),
+    ] = (),
+    dry_run: Annotated[bool, Parameter(name="--dry-run", negative="", help="Do all of it, but write nothing.")] = False,
+    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON.")] = False,
+) -> int:
+    """Close holes, take out doubled, flipped and crossing faces, strays and overlaps; say each change with numbers."""
+    from musclefit.anatomy.repairs import RepairSettings
+    from musclefit.anatomy.resolving import Rule
+    from musclefit.cli.kinds import parse_kinds
+    from musclefit.io.provenance import measured
+    from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repair
+    from musclefit.pipeline.repair import repair as repaired
+    from musclefit.report.repairs import repair_json
+
+    settings = RepairSettings(limit_mm=limit_mm, thicken_mm=thicken_mm, stray_percent=stray_percent)
+    check_target(source, out)
+    with TimedStages(shown=not quiet) as stages:
+        files = read_raw(source, units=Unit(units), kinds=parse_kinds(kind), progress=stages)
+        result = repaired(
+            files.tissues,
+            settings=settings,
+            rule=Rule(resolve),
+            filler=None if local_only else tetrahedra,
+            title=str(source),
+            findings=files.findings,
+            progress=stages,
+        )
+    known = measured(stages.seconds, provenance={"input_sha256": dict(files.hashes)})
+    result = replace(result, report=replace(result.report, **known))
+    written = () if dry_run else write_repair(out, result, files=files)
+    if json:
+        print(json_text.dumps(repair_json(result.report), indent=2, allow_nan=False))
+    elif not quiet:
+        print_repair(result.report, where=_where(out, written))
+    return PASSED if result.report.verdict == "passed" else FAILED
+
+
+def print_repair(report: RepairReport, *, where: str) -> None:
+    """Verdict, every surface that was changed with its changes, the pairs, and what breaks a limit."""
+    console = Console(highlight=False, soft_wrap=True)
+    style = "bold green" if report.verdict == "passed" else "bold red"
+    console.print(Text.assemble((report.verdict.upper(), style), f"  {report.title}"))
+    changed = [s for s in report.surfaces if s.changes]
+    console.print(
+        Text(f"{len(report.surfaces)} surfaces, {len(report.surfaces) - len(changed)} of them left as they are")
+    )
+    for surface in changed:
+        console.print(Text(f"{surface.name}: {surface.way.value}; had {surface.before.said()}", style="bold"))
+        for change in surface.changes:
+            console.print(Text(f"    {change.message}"))
+    if changed:
+        console.print(_distances(changed))
+    for finding in report.findings:
+        console.print(Text(f"note: {finding.message}"))
+    if report.resolved is not None:
+        _print_resolved(console, report.resolved)
+    for check in report.checks:
+        if not check.passed:
+            console.print(
+                Text(f"failed: {check.name} {check.value:.4g} {check.unit}, limit {check.limit:.4g} ({check.place})")
+            )
+    console.print(Text(where))
+
+
+def _distances(changed: list[Repaired]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading in ("surface", "way", "distance", "whole", "volume before", "after", "left"):
+        table.add_column(heading, justify="left" if heading in ("surface", "way", "left") else "right")
+    for one in changed:
+        distance = Text(f"{one.deviation.largest_mm:.3f} mm", style="" if one.within_limit else "red")
+        table.add_row(
+            one.name,
+            one.way.value,
+            distance,
+            f"{one.deviation.whole_mm:.3f} mm",
+            f"{one.volume_before_mm3:.6g} mm³",
+            f"{one.volume_after_mm3:.6g} mm³",
+            Text(one.after.said(), style="" if one.after.none else "red"),
+        )
+    return table
+
+
+def _print_resolved(console: Console, resolved: Resolved) -> None:
+    total = sum(pair.overlap_mm3 for pair in resolved.pairs)
+    console.print(Text(f"{len(resolved.pairs)} overlapping pairs, {total:.6g} mm³ in all, {len(resolved.left)} left"))
+    for pair in resolved.pairs[:PAIRS_SHOWN]:
+        lost = f"{pair.from_a_mm3:.4g} + {pair.from_b_mm3:.4g}"
+        console.print(Text(f"  {pair.overlap_mm3:10.4g} mm³ ({lost})  {pair.a} / {pair.b}: {pair.rule}"))
+    if len(resolved.pairs) > PAIRS_SHOWN:
+        console.print(Text(f"  ... and {len(resolved.pairs) - PAIRS_SHOWN} more, all in the report"))
+    for cut in resolved.cuts:
+        percent = 100.0 * (cut.volume_after_mm3 / cut.volume_before_mm3 - 1.0)
+        notes = "; ".join(change.message for change in cut.changes)
+        console.print(Text(f"  {cut.name}: {percent:+.2f} % of its volume{'; ' + notes if notes else ''}"))
+
+
+def _where(out: Path, written: tuple[Path, ...]) -> str:
+    return f"wrote {len(written)} files to {out}" if written else "dry run: nothing was written"

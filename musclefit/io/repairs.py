@@ -1,0 +1,156 @@
+"""Files of dirty surfaces -> raw tissues, and a repair -> a folder or a file, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import TissueKind
+from musclefit.anatomy.repairs import Way
+from musclefit.errors import InputError
+from musclefit.geometry.arrays import Faces, Points, Tets
+from musclefit.io.ftetwild import fill
+from musclefit.io.outputs import check_writable, file_names, ply_bytes, write_surfaces
+from musclefit.io.surfaces import kind_of, read_surface, surface_files
+from musclefit.pipeline.repair import RawTissue, RepairResult
+from musclefit.progress import Progress
+from musclefit.report.repairs import repair_json
+from musclefit.rig.model import Unit
+
+_REPAIR = "overlaps_resolved"
+"""A key that the report of a repair has, and no other file is likely to."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RawFiles:
+    """Raw tissues, where each stands below the folder (its ending taken off), hashes, findings and what was given."""
+
+    tissues: tuple[RawTissue, ...]
+    places: dict[str, Path]
+    hashes: dict[str, str]
+    findings: tuple[Finding, ...]
+    source: Path
+    units: Unit
+
+
+def read_raw(
+    source: Path, *, units: Unit, kinds: Sequence[tuple[str, TissueKind]] = (), progress: Progress
+) -> RawFiles:
+    """Read a surface file, or all of a folder and its subfolders of kinds, as they stand.
+
+    Raises
+    ------
+    InputError
+        Nothing is there, nothing is a surface, or two files have one name.
+    MeshError
+        A file is damaged, or a face uses a vertex that is not there.
+    """
+    named, findings = surface_files(source)
+    tissues, places, hashes = [], {}, {}
+    with progress.stage("read") as tick:
+        for done, (name, path) in enumerate(named.items(), start=1):
+            raw = read_surface(path, units=units)
+            kind, notes = kind_of(name, path, kinds)
+            tissues.append(RawTissue(name, kind, raw.mesh(), str(path)))
+            places[name] = path.relative_to(source) if source.is_dir() else Path(path.name)
+            hashes[places[name].as_posix()] = raw.sha256
+            findings = (*findings, *raw.findings, *(notes if source.is_dir() else ()))
+            tick(done / len(named))
+    return RawFiles(tuple(tissues), places, hashes, findings, source, units)
+
+
+def tetrahedra(
+    vertices: Points, faces: Faces, edge_length_fraction: float, envelope_fraction: float, /
+) -> tuple[Points, Tets]:
+    """fTetWild in a process of its own; see `io.ftetwild.fill`."""
+    return fill(vertices, faces, edge_length_fraction=edge_length_fraction, envelope_fraction=envelope_fraction)
+
+
+def check_target(source: Path, target: Path) -> None:
+    """Refuse, before long work, a target that a repair could not be written to.
+
+    Raises
+    ------
+    InputError
+        It is the source, holds it, or holds something that no repair wrote.
+    """
+    real, given = Path(os.path.realpath(target)), Path(os.path.realpath(source))
+    if real == given or given.is_relative_to(real) or (source.is_dir() and real.is_relative_to(given)):
+        raise InputError(f"{target} is, holds or lies in what is to be repaired ({source}); name another place")
+    if not _is_one_file(source, target):
+        check_writable(target)
+        return
+    if target.is_dir():
+        raise InputError(f"{target} is a folder; name a file that does not exist yet")
+    if target.exists() and not _is_ours(_report_path(target)):
+        raise InputError(f"{target} is there already, and no repair wrote it; name another file")
+
+
+def write_repair(target: Path, result: RepairResult, *, files: RawFiles) -> tuple[Path, ...]:
+    """Write the surfaces as PLY in double precision and the report as JSON, whole or not at all.
+
+    A surface in a PLY file in mm that was left as it is is written as the very bytes that were read.
+
+    Parameters
+    ----------
+    target : Path
+        A folder; or, for one file, a file that ends in .ply, with the report beside it.
+    """
+    check_target(files.source, target)
+    report = repair_json(result.report)
+    data = {_place(files, name): _bytes(result, files, name) for name in files.places}
+    if not _is_one_file(files.source, target):
+        return write_surfaces(target, data, report=report)
+    written = {target: next(iter(data.values())), _report_path(target): _text(report)}
+    partial = {path: path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}") for path in written}
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        for path, content in written.items():
+            partial[path].write_bytes(content)
+        for path in written:
+            partial[path].replace(path)
+    finally:
+        for path in partial.values():
+            path.unlink(missing_ok=True)
+    return tuple(written)
+
+
+def _is_one_file(source: Path, target: Path) -> bool:
+    return source.is_file() and target.suffix.lower() == ".ply"
+
+
+def _report_path(target: Path) -> Path:
+    return target.with_name(f"{target.stem}.repair.json")
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        return _REPAIR in json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+
+
+def _place(files: RawFiles, name: str) -> str:
+    safe = file_names([name])[name]
+    return (files.places[name].parent / f"{safe}.ply").as_posix()
+
+
+def _bytes(result: RepairResult, files: RawFiles, name: str) -> bytes:
+    surface = result.anatomy[name].surface
+    repaired = next(one for one in result.report.surfaces if one.name == name)
+    given = files.source / files.places[name] if files.source.is_dir() else files.source
+    same = repaired.way is Way.UNTOUCHED and surface is repaired.mesh
+    if same and given.suffix.lower() == ".ply" and files.units is Unit.MILLIMETRE:
+        return given.read_bytes()
+    return ply_bytes(surface)
+
+
+def _text(report: object) -> bytes:
+    return (json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False) + "\n").encode(
+        "utf-8", "backslashreplace"
+    )

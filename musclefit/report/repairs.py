@@ -1,0 +1,149 @@
+"""What was repaired, held against its limits, and the same as JSON values; computes no geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.repairs import Change, Deviation, Repaired, RepairSettings
+from musclefit.anatomy.resolving import PairResolution, Resolved, Rule, TissueCut
+from musclefit.geometry.faults import Faults
+from musclefit.report.model import SCHEMA_VERSION, Verdict, verdict_of
+from musclefit.report.schema import Json
+from musclefit.validate.model import Check, OverlapCheck
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RepairReport:
+    """One repair of a surface or a folder of them.
+
+    Parameters
+    ----------
+    title : str
+    settings : RepairSettings
+    rule : Rule
+    surfaces : tuple of Repaired
+    findings : tuple of Finding
+        From reading the files.
+    resolved : Resolved or None
+        None where overlaps were left as they are.
+    overlaps : OverlapCheck or None
+        Of the result; None where overlaps were left as they are.
+    """
+
+    title: str
+    settings: RepairSettings
+    rule: Rule
+    surfaces: tuple[Repaired, ...]
+    findings: tuple[Finding, ...]
+    resolved: Resolved | None
+    overlaps: OverlapCheck | None
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+    peak_memory_mb: float = math.nan
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Surfaces that are not valid, the largest distance from an original, and pairs that still overlap."""
+        invalid = {s.name: s.after for s in self.surfaces if not s.after.none}
+        invalid |= {cut.name: cut.after for cut in self.resolved.cuts if not cut.after.none} if self.resolved else {}
+        far = max(self.surfaces, key=lambda s: s.deviation.largest_mm)
+        checks = [
+            Check("surfaces that are not valid", float(len(invalid)), 0.0, "", ", ".join(list(invalid)[:4])),
+            Check("distance from the original", far.deviation.largest_mm, self.settings.limit_mm, "mm", far.name),
+        ]
+        if self.resolved is not None:
+            left = self.resolved.left
+            first = " / ".join(left[0]) if left else ""
+            checks.append(Check("pairs that still meet", float(len(left)), 0.0, "", first))
+        if self.overlaps is not None:
+            pairs, doubtful = self.overlaps.pairs, self.overlaps.not_checked
+            volume = math.fsum(pair.rest_mm3 for pair in pairs)
+            checks.append(Check("overlap left", volume, 0.0, "mm³", f"{pairs[0].a} / {pairs[0].b}" if pairs else ""))
+            checks.append(Check("not checked", float(len(doubtful)), 0.0, "", doubtful[0].what if doubtful else ""))
+        return tuple(checks)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Passed when every check passed."""
+        return verdict_of(self.checks)
+
+
+def repair_json(report: RepairReport) -> Json:
+    """The report as JSON values; numbers that are not finite become null."""
+    resolved = report.resolved
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "title": report.title,
+        "verdict": report.verdict,
+        "rule": report.rule.value,
+        "settings": _plain(asdict(report.settings)),
+        "surfaces": [_surface(surface) for surface in report.surfaces],
+        "findings": [{"subject": f.subject, "code": f.code, "message": f.message} for f in report.findings],
+        "overlaps_resolved": [] if resolved is None else [_pair(pair) for pair in resolved.pairs],
+        "cuts": [] if resolved is None else [_cut(cut) for cut in resolved.cuts],
+        "pairs_that_still_meet": [] if resolved is None else [list(pair) for pair in resolved.left],
+        "checks": [_plain({**asdict(check), "passed": check.passed}) for check in report.checks],
+        "timings_s": _plain(dict(report.timings_s)),
+        "peak_memory_mb": _plain(report.peak_memory_mb),
+        "provenance": _plain(dict(report.provenance)),
+    }
+
+
+def _surface(found: Repaired) -> Json:
+    return {
+        "name": found.name,
+        "way": found.way.value,
+        "passed": found.passed,
+        "faults_before": _faults(found.before),
+        "faults_after": _faults(found.after),
+        "changes": [_change(change) for change in found.changes],
+        "distance": _distance(found.deviation),
+        "volume_before_mm3": _plain(found.volume_before_mm3),
+        "volume_after_mm3": _plain(found.volume_after_mm3),
+        "triangles": len(found.mesh.faces),
+    }
+
+
+def _faults(found: Faults) -> Json:
+    return {name: count for name, count in asdict(found).items() if count}
+
+
+def _change(found: Change) -> Json:
+    kept: Json = _plain(asdict(found))
+    return kept
+
+
+def _distance(found: Deviation) -> Json:
+    plain: Json = _plain(asdict(found))
+    return plain
+
+
+def _pair(found: PairResolution) -> Json:
+    plain: Json = _plain(asdict(found))
+    return plain
+
+
+def _cut(found: TissueCut) -> Json:
+    return {
+        "name": found.name,
+        "volume_before_mm3": _plain(found.volume_before_mm3),
+        "volume_after_mm3": _plain(found.volume_after_mm3),
+        "clearance_mm": found.clearance_mm,
+        "changes": [_change(change) for change in found.changes],
+        "faults_after": _faults(found.after),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """The value with tuples as lists and numbers that are not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -62,8 +62,8 @@ def test_a_body_of_689_tissues(anatomy_data, monkeypatch, benchmark, capsys):
             f"{side.overlaps.pairs_tested} pairs {len(new)} overlap newly by {sum(p.introduced_mm3 for p in new):.2g} "
             f"mm³ in all, {len(old)} that overlap at rest share {sum(p.deformed_mm3 for p in old):.0f} mm³, "
             f"{sum(p.introduced_mm3 for p in old):.0f} beyond that carried along; {sum(outside):.2g} mm³ newly outside "
-            f"the skin; {side.edges_split} edges split; not checked {[n.what for n in side.overlaps.not_checked]}; from "
-            f"SciPy's warp by up to {one_shot_off:.1f} mm"
+            f"the skin; {side.edges_split} edges split; not checked "
+            f"{[n.what for n in side.overlaps.not_checked]}; from SciPy's warp by up to {one_shot_off:.1f} mm"
         )
         for pair in new:
             print(f"    {pair.a} / {pair.b}: {pair.introduced_mm3:.2g} mm³")

@@ -79,7 +79,7 @@ _ROWS = (
     ("Folds", "smallest tet volume ratio", ""),
     ("Overlaps", "introduced overlap", "mm³"),
     ("Overlaps", "grown overlap", "mm³"),
-    ("Overlaps", "pairs with introduced overlap", "pairs"),
+    ("Overlaps", "pairs with either", "pairs"),
     ("Overlaps", "introduced outside skin", "mm³"),
     ("Bends", "bone off rigid", "mm"),
     ("Shrinks", "muscle volume change", "%"),
@@ -100,7 +100,7 @@ def _cells(side: Side, limits: Limits) -> dict[str, tuple[Cell, float | None]]:
     free = {
         "smallest det J at a point": side.map.min_jacobian_determinant,
         "smallest tet volume ratio": None if side.mesh is None else side.mesh.min_volume_ratio,
-        "pairs with introduced overlap": float(len(introduced)),
+        "pairs with either": float(len(introduced)),
         "muscle volume change, median": None if not changes else _median(changes),
         "steps": float(side.steps),
     }

@@ -1,7 +1,7 @@
 """Does a tissue pass through another between two frames? Two anatomies -> a proof that none does, or pairs and times.
 
 Between the frames every vertex moves straight and evenly. Whether triangles meet on the way is decided by ipctk's
-conservative continuous collision detection, which may see a touch where there is a hair's breadth, but misses none.
+conservative advancement, which may see a touch where there is a hair's breadth between, but misses none.
 """
 
 from __future__ import annotations
@@ -22,6 +22,12 @@ from musclefit.progress import Progress
 
 CELL_MM = 24.0
 """Edge of the cells that are examined one by one, each in the frame that moves with it."""
+
+CONSERVATIVE = 0.999
+"""Two primitives that come closer than what this leaves of their distance in the first frame are taken to meet."""
+
+MAX_ITERATIONS = 10_000
+"""A pair that is not decided by then is taken to meet."""
 
 MARGIN_MM = 1e-6
 """Boxes are grown by this much before they are held apart: far more than rounding, far less than any gap."""
@@ -107,8 +113,8 @@ def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> Pa
 
     References
     ----------
-    B. Wang et al., A large-scale benchmark and an inclusion-based algorithm for continuous collision detection, ACM
-    Trans. Graph. 40 (2021) 188; Z. Ferguson et al., IPC Toolkit (ipctk).
+    M. Li, D. M. Kaufman and C. Jiang, Codimensional incremental potential contact, ACM Trans. Graph. 40 (2021) 170
+    (additive continuous collision detection); Z. Ferguson et al., IPC Toolkit (ipctk).
     """
     ipctk = _ipctk()
     soup = _soup(before, after)
@@ -202,6 +208,7 @@ class _Examined:
     """Some triangles on their way, with the pairs of primitives of different tissues whose boxes touch."""
 
     def __init__(self, ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> None:
+        self.judge = ipctk.AdditiveCCD(MAX_ITERATIONS, CONSERVATIVE)
         used, corners = np.unique(soup.faces[faces], return_inverse=True)
         origin = soup.before[used].mean(axis=0)
         self.faces = np.asfortranarray(corners.reshape(-1, 3).astype(np.int32))
@@ -216,11 +223,20 @@ class _Examined:
 
     def is_free(self) -> bool:
         """Whether no pair meets."""
-        return not self.count or bool(self.candidates.is_step_collision_free(self.mesh, self.before, self.after))
+        return not self.count or self._free()
+
+    def _free(self) -> bool:
+        return bool(
+            self.candidates.is_step_collision_free(self.mesh, self.before, self.after, narrow_phase_ccd=self.judge)
+        )
 
     def first_meeting(self) -> float:
         """When the first pair meets, at the latest: the search is conservative, and ends a little before."""
-        return float(self.candidates.compute_collision_free_stepsize(self.mesh, self.before, self.after))
+        return float(
+            self.candidates.compute_collision_free_stepsize(
+                self.mesh, self.before, self.after, narrow_phase_ccd=self.judge
+            )
+        )
 
 
 def _overlap(anatomy: Anatomy, one: str, other: str) -> float:

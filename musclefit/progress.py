@@ -10,6 +10,10 @@ Tick = Callable[[float], None]
 """Called with the fraction of the stage done so far, 0 to 1; never decreasing."""
 
 
+MARCH, CERTIFY = "march", "certify the map"
+"""Stages whose seconds the report compares."""
+
+
 class Progress(Protocol):
     """Receives the stages of a long run, one after the other or nested."""
 

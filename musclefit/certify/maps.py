@@ -51,7 +51,7 @@ from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.winding import winding_numbers
-from musclefit.progress import Progress, Silent, Tick
+from musclefit.progress import CERTIFY, Progress, Silent, Tick
 from musclefit.rig.model import StepKind
 from musclefit.validate.model import MapClaim
 
@@ -119,7 +119,7 @@ def certify_map(
         raise InputError(
             f"max_boxes is {max_boxes} and margin_share {margin_share}; they must be at least 1, and in [0, 1)"
         )
-    with (progress or Silent()).stage("certify the map") as raw_tick:
+    with (progress or Silent()).stage(CERTIFY) as raw_tick:
         spent, tick = 0, _never_back(raw_tick)
         for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
             body = _Body.of(skin, voxels=voxels)

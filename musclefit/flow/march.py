@@ -13,7 +13,7 @@ from musclefit.flow.rules import Rule
 from musclefit.flow.steppers import Stepper, explicit_step
 from musclefit.flow.steps import ExplicitStep, Step
 from musclefit.geometry.arrays import Points
-from musclefit.progress import Progress, Silent
+from musclefit.progress import MARCH, Progress, Silent
 from musclefit.rig.handles import Path
 
 SHORTEST_REACH = 1e-6
@@ -86,7 +86,7 @@ def march(stepper: Stepper, *, rule: Rule, tested: Points, pace: Pace, progress:
     records: list[StepRecord] = []
     stretches = 0
     status = Status.CONVERGED
-    with (progress or Silent()).stage("march") as tick:
+    with (progress or Silent()).stage(MARCH) as tick:
         while done < 1.0:
             if stretches == pace.max_steps:
                 status = Status.OUT_OF_STEPS

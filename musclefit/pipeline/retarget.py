@@ -34,7 +34,7 @@ from musclefit.pipeline.deformers import (
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import BoneLimit, JointDrive, MeshSettings, StepKind
+from musclefit.rig.model import BoneLimit, JointDrive, MeshSettings, PathKind, StepKind
 from musclefit.validate.bones import first_collision
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
@@ -161,8 +161,8 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     points = job.anatomy.vertices()
     result = deform(job, points, progress=progress)
     baseline = Deformed(deform_in_one_shot(job, points), ())
-    finish = _Finisher(job, solids, tets, job.rig.mesh, progress)
-    as_given = replace(finish, mesh=replace(job.rig.mesh, refine=False))
+    finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress)
+    as_given = replace(finish, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
     of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
     kept = _kept_findings(result)
     return Retargeting(
@@ -183,7 +183,7 @@ def outcome_of(job: Job, *, rest: SolidAnatomy, progress: Progress) -> Outcome:
     rest : SolidAnatomy
         The job's anatomy, prepared once for many poses.
     """
-    finish = _Finisher(job, rest, None, job.rig.mesh, progress)
+    finish = _Finisher(job, rest, None, job.rig.mesh, progress, progress)
     moved = deform(job, job.anatomy.vertices(), progress=progress)
     return finish(moved, method=method_in_words(job), stage="check result")
 
@@ -197,6 +197,8 @@ class _Finisher:
     tets: TetAnatomy | None
     mesh: MeshSettings
     progress: Progress
+    proving: Progress
+    """Told of the proof: the seconds of the job's own are compared with those of its march."""
 
     def __call__(self, deformed: Deformed, *, method: str, stage: str) -> Outcome:
         job, deformation = self.job, deformed.deformation
@@ -290,7 +292,7 @@ class _Finisher:
             [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
             points if skin is None else skin.surface,
             max_boxes=settings.max_boxes,
-            progress=self.progress,
+            progress=self.proving,
         )
         refuted = MapClaim.REFUTED in (sampled.claim, proof.claim)
         return replace(
@@ -345,7 +347,10 @@ def _refuse_colliding_bones(job: Job, progress: Progress) -> None:
     if found is None:
         return
     assert isinstance(job.rig.drive, JointDrive)
-    pose = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in job.rig.drive.pose)
+    if job.rig.deformer.path is PathKind.JOINTS and not job.stops:
+        pose = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in job.rig.drive.pose)
+    else:
+        pose = f"{100.0 * found.at:.3g} % of the way"
     raise InputError(
         f"bones {found.a!r} and {found.b!r} run into each other at {pose}: they share {found.volume_mm3:.3g} mm³, "
         f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the joints, or let the bones "

@@ -29,6 +29,11 @@ def report_schema() -> Schema:
             "was run. It never changes the verdict.",
             "oneOf": [_record(side, "One method's outcome."), {"type": "null"}],
         },
+        "certificate_cost": {
+            "description": "What the proof that the map is one-to-one took beside the deformation, wall time; null "
+            "where none was tried.",
+            "oneOf": [_certificate_cost(), {"type": "null"}],
+        },
         **_run_properties(),
         "files": _files(),
         "surfaces": _list(_surface(), "Which files hold which tissue."),
@@ -96,6 +101,15 @@ def _side_properties() -> Schema:
         "not_checked": _not_checked(),
         "checks": _checks(),
     }
+
+
+def _certificate_cost() -> Schema:
+    properties = {
+        "certificate_s": _number("Seconds of the proof of the result's map."),
+        "deformation_s": _number("Seconds of the deformation itself."),
+        "share": _number("The first over the second."),
+    }
+    return _record(properties, "Cost of the certificate.")
 
 
 def _run_properties() -> Schema:

@@ -8,6 +8,7 @@ from typing import Any
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.fits import TissueFit
+from musclefit.progress import CERTIFY, MARCH
 from musclefit.report.json_schema import mesh_report_schema, report_schema
 from musclefit.report.model import (
     SCHEMA_VERSION,
@@ -61,9 +62,19 @@ def to_json(report: Report | MeshReport) -> Json:
         "findings": [_finding(f) for f in report.findings],
         "baseline": None if report.baseline is None else _side(report.baseline, report.limits),
         "timings_s": {name: _number(seconds) for name, seconds in report.timings_s.items()},
+        "certificate_cost": _certificate_cost(report.timings_s),
         "peak_memory_mb": _number(report.peak_memory_mb),
         "provenance": _plain(report.provenance, "provenance"),
     }
+
+
+def _certificate_cost(seconds: Mapping[str, float]) -> Json | None:
+    """What the proof of the map took beside the deformation that it is about."""
+    if MARCH not in seconds or CERTIFY not in seconds:
+        return None
+    march, proof = seconds[MARCH], seconds[CERTIFY]
+    share = proof / march if march > 0.0 else math.inf
+    return {"certificate_s": _number(proof), "deformation_s": _number(march), "share": _number(share)}
 
 
 def side_to_json(side: Side, limits: Limits) -> Json:

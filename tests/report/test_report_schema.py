@@ -56,11 +56,20 @@ def test_the_promised_keys_are_there(make_report, make_side):
         "title",
         "findings",
         "baseline",
+        "certificate_cost",
+        "tets",
         "timings_s",
         "peak_memory_mb",
         "provenance",
     }
     assert found["provenance"]["settings"] == {"pose": [["elbow", 75.0]], "tets": True}
+
+
+def test_the_certificate_costs_what_its_stage_took_beside_the_march(make_report):
+    found = to_json(make_report(timings_s={"march": 4.0, "certify the map": 1.0, "read": 9.0}))
+    assert found["certificate_cost"] == {"certificate_s": 1.0, "deformation_s": 4.0, "share": 0.25}
+    _validate(found, report_schema())
+    assert to_json(make_report(timings_s={"march": 4.0}))["certificate_cost"] is None
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from musclefit.anatomy.findings import Finding
 from musclefit.geometry.arrays import Bool, Points
@@ -41,6 +43,8 @@ class TissueFit:
         one; None where there is no surface to compare.
     missed_mm : float or None
         The other way: of the given surface from the tets'.
+    pieces, surface_pieces : int or None
+        Into how many the tets inside the surface fall, joined by faces, and the surface itself; None for the filler.
     """
 
     name: str
@@ -52,6 +56,8 @@ class TissueFit:
     envelope_mm: float | None = None
     off_mm: float | None = None
     missed_mm: float | None = None
+    pieces: int | None = None
+    surface_pieces: int | None = None
 
     @property
     def volume_error_percent(self) -> float | None:
@@ -91,13 +97,39 @@ def surface_distances(given: TriMesh, vertices: Points, faces: TetFaces, *, insi
     return _largest(filled, given), _largest(given, filled)
 
 
+def pieces_of_tets(faces: TetFaces, *, inside: Bool) -> int:
+    """Into how many pieces some tets fall, joined by faces.
+
+    Parameters
+    ----------
+    faces : TetFaces
+        Of the whole mesh.
+    inside : (k,) bool
+        The tets.
+    """
+    pairs = faces.tets[faces.tets[:, 1] >= 0]
+    pairs = pairs[inside[pairs].all(axis=1)]
+    graph = coo_matrix((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(len(inside),) * 2)
+    _, labels = connected_components(graph, directed=False)
+    return len(np.unique(labels[inside]))
+
+
+def pieces_of_surface(surface: TriMesh) -> int:
+    """Into how many pieces a surface falls, joined by vertices."""
+    a, b, c = surface.faces.T
+    ends = np.concatenate([a, b]), np.concatenate([b, c])
+    graph = coo_matrix((np.ones(len(ends[0]), dtype=bool), ends), shape=(len(surface.vertices),) * 2)
+    _, labels = connected_components(graph, directed=False)
+    return len(np.unique(labels[surface.faces[:, 0]]))
+
+
 def _largest(surface: TriMesh, other: TriMesh) -> float:
     samples = np.concatenate([surface.vertices, surface.corners().mean(axis=1)])
     return float(nearest_places(samples, other).distances.max())
 
 
 def fit_findings(fits: tuple[TissueFit, ...]) -> tuple[Finding, ...]:
-    """Tissues that got no tet, or whose tets fill another volume than their surface encloses."""
+    """Tissues that got no tet, whose tets fill another volume than their surface encloses, or that fell apart."""
     findings = []
     for fit in fits:
         if fit.surface_mm3 is None:
@@ -122,6 +154,16 @@ def fit_findings(fits: tuple[TissueFit, ...]) -> tuple[Finding, ...]:
                     "tet-volume",
                     f"the tets inside {fit.name} fill {fit.inside_mm3:.6g} mm³, {said} the {fit.surface_mm3:.6g} mm³ "
                     "of its surface; choose a smaller envelope for it",
+                )
+            )
+        if fit.pieces is not None and fit.surface_pieces is not None and fit.pieces > fit.surface_pieces:
+            findings.append(
+                Finding(
+                    fit.name,
+                    "tet-pieces",
+                    f"the tets inside {fit.name} fall into {fit.pieces} pieces, its surface into {fit.surface_pieces}: "
+                    f"in places it is thinner than its envelope of {fit.envelope_mm:.3g} mm, or coarse beside a "
+                    "neighbour; choose a smaller envelope or edge length for it",
                 )
             )
     return tuple(findings)

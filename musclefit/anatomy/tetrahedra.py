@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.fits import TissueFit, fit_findings, surface_distances
+from musclefit.anatomy.fits import TissueFit, fit_findings, pieces_of_surface, pieces_of_tets, surface_distances
 from musclefit.anatomy.layers import FILLER, LayerRules, diagonal_mm
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
@@ -229,6 +229,8 @@ def _fits(
                 envelope_mm=envelope,
                 off_mm=off,
                 missed_mm=missed,
+                pieces=pieces_of_tets(faces, inside=inside[index]),
+                surface_pieces=pieces_of_surface(tissue.surface),
             )
         )
         if skin:

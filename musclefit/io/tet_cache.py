@@ -42,7 +42,7 @@ ABANDONED_S = 24 * 3600.0
 CACHE_FINDING = "tet-cache"
 """Code of findings about the cache."""
 
-_LAYOUT = "musclefit tets 2"
+_LAYOUT = "musclefit tets 3"
 _UNREADABLE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MeshError)
 
 
@@ -129,7 +129,7 @@ class TetCache:
         """What `tetrahedralise` will take."""
         path = self.path_of(anatomy, rules)
         triangles = sum(len(tissue.surface.faces) for tissue in anatomy)
-        return TetPlan(path, path.exists(), triangles, estimate(anatomy))
+        return TetPlan(path, path.exists(), triangles, estimate(anatomy, rules))
 
     def tetrahedralise(self, anatomy: Anatomy, rules: LayerRules, *, progress: Progress) -> tuple[TetAnatomy, bool]:
         """The tets of an anatomy from the folder, or made and written there.

@@ -259,6 +259,8 @@ def _fit() -> Schema:
             f"Largest distance of the tetrahedra's surface from the given one, sampled, mm; {no_filler}."
         ),
         "missed_mm": _number(f"Largest distance of the given surface from the tetrahedra's, sampled, mm; {no_filler}."),
+        "pieces": _count_or_null(f"Pieces into which the tetrahedra inside the surface fall; {no_filler}."),
+        "surface_pieces": _count_or_null(f"Pieces into which the surface itself falls; {no_filler}."),
     }
     return _record(properties, "One tissue in the mesh at rest.")
 
@@ -386,6 +388,10 @@ def _number(description: str) -> Schema:
 
 def _count(description: str) -> Schema:
     return {"type": "integer", "minimum": 0, "description": description}
+
+
+def _count_or_null(description: str) -> Schema:
+    return {"type": ["integer", "null"], "minimum": 0, "description": description}
 
 
 def _kind() -> Schema:

@@ -223,6 +223,8 @@ def _fit(found: TissueFit) -> Json:
         "envelope_mm": _number(found.envelope_mm),
         "off_mm": _number(found.off_mm),
         "missed_mm": _number(found.missed_mm),
+        "pieces": found.pieces,
+        "surface_pieces": found.surface_pieces,
     }
 
 

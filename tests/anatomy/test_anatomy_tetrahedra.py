@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.anatomy.fits import LABELLED_VOLUME_PERCENT, TissueFit, fit_findings
+from musclefit.anatomy.fits import (
+    LABELLED_VOLUME_PERCENT,
+    TissueFit,
+    fit_findings,
+    pieces_of_surface,
+    pieces_of_tets,
+)
 from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
 from musclefit.anatomy.layers import FILLER, Gaps, LayerRules, gap_widths
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
@@ -300,3 +306,28 @@ def test_a_fit_says_how_far_its_volume_is_off() -> None:
     np.testing.assert_allclose([fit.volume_error_percent, fit.yielded_mm3], [-2.0, 18.0], rtol=1e-12)
     filler = TissueFit(FILLER, FILLER, 3, volume_mm3=80.0)
     assert (filler.volume_error_percent, filler.yielded_mm3) == (None, None)
+
+
+def test_pieces_of_tets_and_surfaces_are_counted(blocks: TetAnatomy) -> None:
+    """Two bones apart are two pieces together, two muscles that touch are one."""
+    faces = tet_faces(blocks.mesh.tets)
+    for kind, pieces in (("bone", 2), ("muscle", 1)):
+        numbers = [k for k, name in enumerate(blocks.names) if name.startswith(kind)]
+        assert pieces_of_tets(faces, inside=np.isin(blocks.tissue_of_tet, numbers)) == pieces
+    assert [fit.pieces for fit in blocks.fits] == [1, None, 1, 1, 1, 1]
+    pair = [blocks.anatomy[name].surface for name in ("bone_a", "bone_b")]
+    both = TriMesh(
+        np.concatenate([s.vertices for s in pair]),
+        np.concatenate([pair[0].faces, pair[1].faces + len(pair[0].vertices)]),
+    )
+    assert [pieces_of_surface(s) for s in (*pair, both)] == [1, 1, 2]
+
+
+def test_a_tissue_that_came_apart_is_found() -> None:
+    fit = TissueFit(
+        "a", "bone", 3, 98.0, surface_mm3=100.0, inside_mm3=98.5, envelope_mm=0.1, pieces=3, surface_pieces=1
+    )
+    (found,) = fit_findings((fit,))
+    assert (found.subject, found.code) == ("a", "tet-pieces")
+    assert "fall into 3 pieces, its surface into 1" in found.message
+    assert fit_findings((replace(fit, surface_pieces=3),)) == ()

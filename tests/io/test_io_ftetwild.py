@@ -15,6 +15,7 @@ import psutil
 import pytest
 import trimesh
 
+from musclefit.anatomy.layers import LayerRules
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TriMesh
@@ -129,13 +130,14 @@ def test_progress_is_told_while_it_meshes() -> None:
 
 
 def test_the_estimate_grows_with_the_triangles_and_says_it_in_words() -> None:
-    def of(subdivisions: int) -> ftetwild.Estimate:
+    def of(subdivisions: int, edge: float = 0.1) -> ftetwild.Estimate:
         mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=10.0)
         surface = TriMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        return ftetwild.estimate(Anatomy((Tissue("ball", TissueKind.BONE, surface),), "test, mm"))
+        anatomy = Anatomy((Tissue("ball", TissueKind.BONE, surface),), "test, mm")
+        return ftetwild.estimate(anatomy, LayerRules(edge, 1e-3))
 
     small, large = of(1), of(4)
-    assert small.seconds < large.seconds
+    assert small.seconds < large.seconds < of(4, edge=0.02).seconds
     assert small.memory_mb < large.memory_mb
     assert ftetwild.Estimate(1200.0, 4321.0).in_words == "about 20 min of one core and 4.3 GB of memory"
     assert ftetwild.Estimate(12.3, 321.0).in_words == "about 12 s of one core and 321 MB of memory"

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import igl
 import numpy as np
 
 from musclefit.anatomy.midsurfaces import halves, own_sides
@@ -21,13 +22,14 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repair import tidied
 from musclefit.anatomy.repairs import Change, RepairSettings
 from musclefit.errors import InputError
-from musclefit.geometry.booleans import difference, grown_by, shared
+from musclefit.geometry.arrays import Int, Points
+from musclefit.geometry.booleans import difference, grown_by, padded, shared
 from musclefit.geometry.crossings import crossings_between
 from musclefit.geometry.faults import Faults, faults_of
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import ROUNDING_MM3, candidate_pairs
+from musclefit.geometry.topology import closed_components
 from musclefit.geometry.volumes import enclosed_volume
-from musclefit.geometry.winding import winding_numbers
 from musclefit.progress import Progress
 
 CLEARANCE_MM = 0.02
@@ -35,8 +37,8 @@ CLEARANCE_MM = 0.02
 
 SPLIT_WORDS = "split: each keeps what it is deeper in"
 
-ROUNDS = 4
-"""How often a tissue that still meets another is cut anew, with twice the clearance each time."""
+ROUNDS = 6
+"""How often places that still meet are cut out, with one clearance more each time."""
 
 
 class Rule(StrEnum):
@@ -87,30 +89,27 @@ class Resolved:
     cuts : tuple of TissueCut
     left : tuple of (name, name)
         Pairs that still meet.
-    vanished : tuple of str
-        Tissues of which nothing was left; not in the anatomy.
     """
 
     anatomy: Anatomy
     pairs: tuple[PairResolution, ...]
     cuts: tuple[TissueCut, ...]
     left: tuple[tuple[str, str], ...]
-    vanished: tuple[str, ...]
 
 
 @dataclass(slots=True)
 class _Split:
-    """An overlap that two surfaces part, and the tools made for it so far, by clearance."""
+    """An overlap that two surfaces part, and the tools for it, once they are made."""
 
     sides: tuple[TriMesh, TriMesh]
     common: TriMesh
-    tools: dict[float, tuple[TriMesh, TriMesh]] = field(default_factory=dict)
+    tools: list[TriMesh] = field(default_factory=list)
 
-    def tool(self, side: int, clearance_mm: float) -> TriMesh:
+    def tool(self, side: int) -> TriMesh:
         """What to take from the first (0) or the second (1) surface."""
-        if clearance_mm not in self.tools:
-            self.tools[clearance_mm] = halves(self.sides, self.common, clearance_mm=clearance_mm)
-        return self.tools[clearance_mm][side]
+        if not self.tools:
+            self.tools += halves(self.sides, self.common, clearance_mm=CLEARANCE_MM)
+        return self.tools[side]
 
 
 @dataclass(slots=True)
@@ -119,6 +118,24 @@ class _Plan:
 
     winners: list[str] = field(default_factory=list)
     splits: list[tuple[_Split, int]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Work:
+    """What was done to one tissue so far."""
+
+    clearance_mm: float
+    changes: list[Change] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Meeting:
+    """Two tissues that share a point: faces of the winner that cross the loser, or one lies in the other."""
+
+    winner: str
+    loser: str
+    faces: Int
+    inside: bool
 
 
 def resolved(anatomy: Anatomy, *, rule: Rule, settings: RepairSettings, progress: Progress) -> Resolved:
@@ -140,43 +157,31 @@ def resolved(anatomy: Anatomy, *, rule: Rule, settings: RepairSettings, progress
     InputError
         A tissue would lose all it has.
     """
-    tissues = {tissue.name: tissue for tissue in anatomy if tissue.kind is not TissueKind.SKIN}
-    plans, pairs = _planned(tissues, rule=rule, progress=progress)
-    results: dict[str, Tissue] = {}
-    cuts: dict[str, TissueCut] = {}
-    vanished: list[str] = []
-    clearance = dict.fromkeys(plans, CLEARANCE_MM)
-    waiting = list(plans)
-    left: list[tuple[str, str]] = []
+    given = {tissue.name: tissue for tissue in anatomy if tissue.kind is not TissueKind.SKIN}
+    plans, pairs = _planned(given, rule=rule, progress=progress)
+    now, work = dict(given), {name: _Work(CLEARANCE_MM) for name in plans}
+    with progress.stage("cuts") as tick:
+        for done, (name, plan) in enumerate(plans.items(), start=1):
+            now[name] = _tidied(given[name], _tools(given, plan), work[name], settings=settings)
+            tick(done / len(plans))
+    meetings = _meetings(now, changed=set(plans), progress=progress)
     for attempt in range(ROUNDS):
-        with progress.stage(f"cuts, round {attempt + 1}") as tick:
-            for done, name in enumerate(waiting, start=1):
-                cut = _cut(tissues, name, plans[name], clearance_mm=clearance[name])
-                mesh, changes = (
-                    tidied(cut, settings=settings, most_mm=0.25 * clearance[name]) if len(cut.faces) else (cut, ())
-                )
-                tick(done / len(waiting))
-                if not len(mesh.faces):
-                    vanished.append(name)
-                    continue
-                results[name] = Tissue(name, tissues[name].kind, mesh)
-                before, after = enclosed_volume(tissues[name].surface), enclosed_volume(mesh)
-                cuts[name] = TissueCut(name, before, after, clearance[name], changes, faults_of(mesh))
-        now = {name: results.get(name, tissue) for name, tissue in tissues.items() if name not in vanished}
-        left = _meeting(now, changed=set(waiting), progress=progress)
-        bad = {name for pair in left for name in pair if name in plans}
-        waiting = sorted(bad | {name for name, cut in cuts.items() if not cut.after.none})
-        for name in waiting:
-            clearance[name] *= 2.0
-        if not waiting:
+        if not meetings:
             break
-    if vanished:
-        raise InputError(
-            f"nothing is left of {vanished[0]!r}: it lies wholly inside tissues that go before it. Leave it out, or "
-            "give it another kind"
-        )
-    kept = tuple(results.get(tissue.name, tissue) for tissue in anatomy)
-    return Resolved(Anatomy(kept, anatomy.frame), pairs, tuple(cuts.values()), tuple(left), tuple(vanished))
+        changed = set()
+        with progress.stage(f"places that still meet, round {attempt + 1}") as tick:
+            for done, meeting in enumerate(meetings, start=1):
+                tick(done / len(meetings))
+                own = work.setdefault(meeting.loser, _Work(CLEARANCE_MM))
+                own.clearance_mm = CLEARANCE_MM * (attempt + 1)
+                tools = _tools_at(now, meeting, clearance_mm=own.clearance_mm)
+                now[meeting.loser] = _tidied(now[meeting.loser], tools, own, settings=settings)
+                changed.add(meeting.loser)
+        meetings = _meetings(now, changed=changed, progress=progress)
+    kept = tuple(now.get(tissue.name, tissue) for tissue in anatomy)
+    cuts = tuple(_said_cut(given[name], now[name], own) for name, own in work.items())
+    left = tuple((meeting.winner, meeting.loser) for meeting in meetings)
+    return Resolved(Anatomy(kept, anatomy.frame), pairs, cuts, left)
 
 
 def goes_before(a: Tissue, b: Tissue) -> bool:
@@ -201,14 +206,14 @@ def _planned(
                 a, b = b, a
             common = shared(a.surface, b.surface)
             volume = enclosed_volume(common) if len(common.faces) else 0.0
-            if volume <= ROUNDING_MM3 and not _crosses(a.surface, b.surface):
+            if volume <= ROUNDING_MM3 and not len(_crossing_faces(a.surface, b.surface)):
                 continue
             sides = own_sides(a.surface, b.surface, common) if rule is Rule.SPLIT and a.kind is b.kind else ()
             if volume > ROUNDING_MM3 and sides and all(len(side.faces) for side in sides):
                 split = _Split(sides, common)
                 plans[a.name].splits.append((split, 0))
                 plans[b.name].splits.append((split, 1))
-                lost = _volume_in(common, split.tool(0, CLEARANCE_MM))
+                lost = _volume_in(common, split.tool(0))
                 pairs.append(PairResolution(a.name, b.name, SPLIT_WORDS, volume, lost, volume - lost))
             else:
                 plans[b.name].winners.append(a.name)
@@ -218,10 +223,41 @@ def _planned(
     return dict(plans), tuple(sorted(pairs, key=lambda pair: -pair.overlap_mm3))
 
 
-def _cut(tissues: Mapping[str, Tissue], name: str, plan: _Plan, *, clearance_mm: float) -> TriMesh:
-    tools = [grown_by(tissues[winner].surface, distance_mm=clearance_mm) for winner in plan.winners]
-    tools += [split.tool(side, clearance_mm) for split, side in plan.splits]
-    return difference(tissues[name].surface, tools, smooth_within_mm=0.25 * clearance_mm)
+def _tools(given: Mapping[str, Tissue], plan: _Plan) -> list[TriMesh]:
+    tools = [grown_by(given[winner].surface, distance_mm=CLEARANCE_MM) for winner in plan.winners]
+    return tools + [split.tool(side) for split, side in plan.splits]
+
+
+def _tools_at(now: Mapping[str, Tissue], meeting: _Meeting, *, clearance_mm: float) -> list[TriMesh]:
+    """What to take from the loser where it still meets the winner: the surroundings of the winner's triangles there."""
+    winner = now[meeting.winner].surface
+    tools = [grown_by(winner, distance_mm=clearance_mm)] if meeting.inside else []
+    if len(meeting.faces):
+        tools.append(padded(winner, meeting.faces, distance_mm=clearance_mm))
+    return tools
+
+
+def _tidied(tissue: Tissue, tools: list[TriMesh], work: _Work, *, settings: RepairSettings) -> Tissue:
+    cut = difference(tissue.surface, tools, smooth_within_mm=0.25 * work.clearance_mm)
+    mesh, changes = tidied(cut, settings=settings, most_mm=0.25 * work.clearance_mm) if len(cut.faces) else (cut, ())
+    if not len(mesh.faces):
+        raise InputError(
+            f"nothing is left of {tissue.name!r}: it lies wholly inside tissues that go before it. Leave it out, or "
+            "give it another kind"
+        )
+    work.changes += changes
+    return Tissue(tissue.name, tissue.kind, mesh)
+
+
+def _said_cut(before: Tissue, after: Tissue, work: _Work) -> TissueCut:
+    return TissueCut(
+        after.name,
+        enclosed_volume(before.surface),
+        enclosed_volume(after.surface),
+        work.clearance_mm,
+        tuple(work.changes),
+        faults_of(after.surface),
+    )
 
 
 def _volume_in(common: TriMesh, tool: TriMesh) -> float:
@@ -235,31 +271,50 @@ def _near(tissues: Mapping[str, Tissue]) -> list[tuple[str, str]]:
     return [(names[i], names[j]) for i, j in candidate_pairs(boxes)]
 
 
-def _meeting(tissues: Mapping[str, Tissue], *, changed: set[str], progress: Progress) -> list[tuple[str, str]]:
+def _meetings(tissues: Mapping[str, Tissue], *, changed: set[str], progress: Progress) -> list[_Meeting]:
     """Pairs with a changed tissue that cross, touch or lie in each other, exactly."""
     near = [pair for pair in _near(tissues) if changed & set(pair)]
     found = []
+    starts = {name: _starts(tissues[name].surface) for name in {name for pair in near for name in pair}}
     with progress.stage("pairs that still meet") as tick:
-        for done, (a, b) in enumerate(near, start=1):
+        for done, (one, other) in enumerate(near, start=1):
             tick(done / len(near))
-            first, second = tissues[a].surface, tissues[b].surface
-            if _crosses(first, second) or _inside(first, second) or _inside(second, first):
-                found.append((a, b))
+            first = goes_before(tissues[one], tissues[other])
+            winner, loser = (one, other) if first else (other, one)
+            a, b = tissues[winner].surface, tissues[loser].surface
+            faces = _crossing_faces(a, b)
+            inside = not len(faces) and (_any_inside(starts[winner], b) or _any_inside(starts[loser], a))
+            if len(faces) or inside:
+                found.append(_Meeting(winner, loser, faces, inside))
     return found
 
 
-def _crosses(one: TriMesh, other: TriMesh) -> bool:
-    """Whether two surfaces share a point, exactly; only triangles in both bounding boxes are looked at."""
+def _crossing_faces(one: TriMesh, other: TriMesh) -> Int:
+    """Faces of the first surface that share a point with the second, exactly; only those in both boxes are tried."""
     low = np.maximum(one.vertices.min(axis=0), other.vertices.min(axis=0))
     high = np.minimum(one.vertices.max(axis=0), other.vertices.max(axis=0))
-    parts = []
+    numbers = []
     for mesh in (one, other):
         corners = mesh.corners()
-        near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
-        parts.append(TriMesh(mesh.vertices, mesh.faces[near]))
-    return bool(len(parts[0].faces) and len(parts[1].faces) and len(crossings_between(*parts)))
+        numbers.append(np.flatnonzero(((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)))
+    if not all(len(near) for near in numbers):
+        return np.zeros(0, dtype=np.int64)
+    parts = [TriMesh(mesh.vertices, mesh.faces[near]) for mesh, near in zip((one, other), numbers, strict=True)]
+    return numbers[0][np.unique(crossings_between(*parts).pairs[:, 0])]
 
 
-def _inside(one: TriMesh, other: TriMesh) -> bool:
-    """Whether a surface that does not cross another starts inside it."""
-    return bool(winding_numbers(other, one.vertices[one.faces[:1, 0]])[0] > 0.5)
+def _starts(surface: TriMesh) -> Points:
+    """(p, 3) a vertex of each closed piece."""
+    _, first = np.unique(closed_components(surface.faces), return_index=True)
+    starts: Points = surface.vertices[surface.faces[first, 0]]
+    return starts
+
+
+def _any_inside(points: Points, surface: TriMesh) -> bool:
+    """Whether any of a few points is inside a surface."""
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    near = np.ascontiguousarray(points[((points >= low) & (points <= high)).all(axis=1)])
+    if not len(near):
+        return False
+    around = igl.winding_number(np.array(surface.vertices), np.array(surface.faces), near)
+    return bool((np.atleast_1d(around) > 0.5).any())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import manifold3d
 import numpy as np
 
 from musclefit.errors import MeshError
-from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.arrays import Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.volumes import area_vectors
 
@@ -59,6 +60,22 @@ def grown_by(mesh: TriMesh, *, distance_mm: float) -> TriMesh:
     cosine = np.ones(len(mesh.vertices))
     np.minimum.at(cosine, mesh.faces.ravel(), np.einsum("fi,fki->fk", unit, normals[mesh.faces]).ravel())
     return mesh.with_vertices(mesh.vertices + normals * (distance_mm / np.maximum(cosine, LEAST_COSINE))[:, None])
+
+
+def padded(mesh: TriMesh, faces: Int, *, distance_mm: float) -> TriMesh:
+    """A closed surface that keeps the distance from some triangles on all sides: each one's corners made cubes, united.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    faces : (k,) int64
+    distance_mm : float
+        Half the edge of the cubes.
+    """
+    steps = distance_mm * np.array(list(product((-1.0, 1.0), repeat=3)))
+    around = mesh.corners()[faces][:, :, None, :] + steps
+    hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(points.reshape(-1, 3))) for points in around]
+    return as_mesh(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))
 
 
 def vertex_normals(mesh: TriMesh) -> Points:

@@ -88,7 +88,7 @@ def _print(report: SequenceReport, folder: Path) -> None:
     table = Table(box=None, pad_edge=False)
     for heading, justify in (("", "left"), ("check", "left"), ("value", "right"), ("limit", "right"), ("unit", "left")):
         table.add_column(heading, justify=justify)  # type: ignore[arg-type]
-    table.add_column("where", justify="left")
+    table.add_column("where", justify="left", overflow="fold")
     for check in report.checks:
         said = f"{check.value:.4g}", f"{check.limit:.4g}"
         table.add_row("ok" if check.passed else "FAIL", check.name, *said, check.unit, Text(check.place))

@@ -132,13 +132,13 @@ def planned(
 
 
 def run_sequence(
-    plan: SequencePlan, folder: str | Path, *, workers: int = 1, between: bool = True, progress: Progress | None = None
+    plan: SequencePlan, folder: str | Path, *, workers: int = 0, between: bool = True, progress: Progress | None = None
 ) -> SequenceReport:
     """Make the frames of a motion that a folder does not hold yet, then report on all of them.
 
-    Each frame is made from rest alone, in one of ``workers`` processes with one thread each, and written whole or not
-    at all. Run again after an interruption, frames that are there are verified by hash and kept; one that was changed,
-    or made with other settings, is made again.
+    Each frame is made from rest alone, in one of ``workers`` processes with one thread each (or in this one), and
+    written whole or not at all. Run again after an interruption, frames that are there are verified by hash and kept;
+    one that was changed, or made with other settings, is made again.
 
     Parameters
     ----------
@@ -146,6 +146,7 @@ def run_sequence(
     folder : path
         New, empty, or of the same sequence.
     workers : int
+        0 for this process. A script that asks for more must start its work inside of ``if __name__ == "__main__":``.
     between : bool
         Whether to examine what lies between frames.
 
@@ -160,8 +161,8 @@ def run_sequence(
         The folder holds something else or another sequence, or what `SequencePlan.poses` refuses.
     """
     folder, progress, poses = Path(folder), progress or Silent(), plan.poses
-    if workers < 1:
-        raise InputError(f"found {workers} workers; expected at least 1")
+    if workers < 0:
+        raise InputError(f"found {workers} workers; expected at least 1, or 0 for this process")
     _claim(folder, plan)
     clear_partial(folder)
     keys = [frame_key(plan.job, pose) for pose in poses]

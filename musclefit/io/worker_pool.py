@@ -30,6 +30,7 @@ class Pool:
     Parameters
     ----------
     workers : int
+        0 runs the tasks in this process, one after the other, with the threads it has.
     prepare : callable
         Run once in each worker, with ``given``; it and the tasks must be importable.
     given : sequence
@@ -64,6 +65,12 @@ class Pool:
         MusclefitError
             A worker died, as it does when memory runs out.
         """
+        if not self._workers:
+            if numbers:
+                self._prepare(*self._given)
+            for number in numbers:
+                yield number, task(number)
+            return
         with _pinned():
             if self._executor is None:
                 self._start()

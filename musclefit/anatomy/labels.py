@@ -1,9 +1,15 @@
-r"""Label maps -> layered surfaces: one closed surface for each label, none of which overlaps another; opens no file.
+r"""Label maps -> layered surfaces: one closed surface for each label, a hair apart from its neighbours'; opens no file.
 
 Each label's mask is smoothed by a Gaussian, G_l, and its surface is the level set of
 :math:`F_l = G_l - \max_{k \ne l} G_k` at a small positive level, background included. Where :math:`F_l` is
 positive no other label's F can be, so tissues that touch in the image are left a hair apart, and stairs of voxels
-become smooth.
+become smooth. The triangles between voxels follow F only nearly: where three labels meet, surfaces can still share
+about a millionth of their volume.
+
+Multi-label surface nets (VTK; ``pyvista.ImageDataFilters.contour_labels``) give neighbours one common interface
+instead. On 12 touching cells at 1 mm voxels these are as accurate (0.07 mm from the true cells on average, here 0.09)
+and 15 times faster, but smoothing lets triangles cross (35 pairs; here none) and labels that touch along an edge give
+surfaces that are no manifolds, which no anatomy may have.
 """
 
 from __future__ import annotations

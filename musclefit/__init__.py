@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from musclefit.geometry.rigid import RigidMotion
     from musclefit.io.ftetwild import tetrahedralise
     from musclefit.io.landmarks import read_landmarks
+    from musclefit.io.motions import read_motion
     from musclefit.io.rigs import find_rig, read_rig
     from musclefit.io.runs import prepared_tets, save
+    from musclefit.io.sequences import planned, read_frames, run_sequence
     from musclefit.io.surfaces import read_anatomy
     from musclefit.pipeline.inspect import inspect
     from musclefit.pipeline.retarget import retarget
@@ -35,9 +37,13 @@ _HOMES = {
     "inspect": "pipeline.inspect",
     "prepared_tets": "io.runs",
     "read_anatomy": "io.surfaces",
+    "planned": "io.sequences",
+    "read_frames": "io.sequences",
     "read_landmarks": "io.landmarks",
+    "read_motion": "io.motions",
     "read_rig": "io.rigs",
     "retarget": "pipeline.retarget",
+    "run_sequence": "io.sequences",
     "save": "io.runs",
     "tetrahedralise": "io.ftetwild",
     "upper_limb": "anatomy.builtin",
@@ -56,11 +62,15 @@ __all__ = [
     "__version__",
     "find_rig",
     "inspect",
+    "planned",
     "prepared_tets",
     "read_anatomy",
+    "read_frames",
     "read_landmarks",
+    "read_motion",
     "read_rig",
     "retarget",
+    "run_sequence",
     "save",
     "tetrahedralise",
     "upper_limb",

@@ -270,7 +270,7 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
         changed = [key for key in ("interpolation", "frames", "motion_sha256") if known.get(key) != ours[key]]
         if changed:
             raise InputError(
-                f"{folder} holds another sequence ({', '.join(changed)} differs); name another folder, or remove it"
+                f"{folder} holds another sequence (differing: {', '.join(changed)}); name another folder, or remove it"
             )
     elif folder.exists() and not folder.is_dir():
         raise InputError(f"the output folder {folder} is a file; name a folder that does not exist yet")

@@ -12,7 +12,8 @@ from musclefit.geometry.arrays import Float, Int, Points, Tets
 from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.orientation import orientations
-from musclefit.geometry.tet_subdivision import independent_edges, split_edges, tets_around
+from musclefit.geometry.tet_flatness import freeing_cut
+from musclefit.geometry.tet_subdivision import Incidence, independent_edges, split_edges, tets_around
 from musclefit.geometry.tet_topology import tet_edges, tet_faces
 from musclefit.geometry.volumes import signed_volumes
 from musclefit.progress import Progress
@@ -56,6 +57,8 @@ class CarriedTets:
 
 
 _ALL_WELL = (0, 0)
+_DIVERGED, _DIVERGED_FROM = 4, 50
+"""An order of splits is given up when it leaves this many times the wrong places it began with, a few more added."""
 
 
 @dataclass(slots=True)
@@ -106,12 +109,13 @@ def carried_tets(
 ) -> CarriedTets:
     """Move tets, splitting edges of those that come out inverted or flat, or whose boundary faces cross.
 
-    Of each such tet the longest edge is split, and with it all tets around it: the mesh stays conforming, no volume
-    goes to another tissue, and the new vertices are where the map takes the middles. A map without folds is nearly
-    linear on small tets, so that it keeps them right-handed unless splitting makes them flatter and flatter. Where that
-    happens all starts anew, the slow way: a tet's longest edge waits until those of all tets around it are no longer
-    than it, which keeps shapes (Rivara's longest-edge propagation). Neither way has a proved end; the limits are its
-    end then.
+    Of each such tet one edge is split, and with it all tets around it: the mesh stays conforming, no volume goes to
+    another tissue, and the new vertices are where the map takes them. A nearly flat tet is cut where its nearest parts
+    are (`geometry.tet_flatness`), which frees it however flat it is; of the others the longest edge is halved. A map
+    without folds is nearly linear on small tets, so that it keeps them right-handed unless splitting makes them flatter
+    and flatter. Where that happens all starts anew by halving longest edges alone, and then once more the slow way: a
+    tet's longest edge waits until those of all tets around it are no longer than it, which keeps shapes (Rivara's
+    longest-edge propagation). None of these has a proved end; the limits are its end then.
 
     Parameters
     ----------
@@ -162,10 +166,12 @@ def carried_tets(
 
 def _refine(work: _Work, where: Map, order: _Order, *, rounds: int, growth: float) -> tuple[str, int]:
     """Split until nothing is wrong: which bound ended it before that, in words, and the rounds it took."""
-    most = growth * len(work.tets)
+    most, wrong = growth * len(work.tets), sum(work.wrong)
     for done in range(rounds):
         if work.wrong == _ALL_WELL:
             return "", done
+        if sum(work.wrong) > _DIVERGED * (_DIVERGED_FROM + wrong):
+            return f"splitting edges made {sum(work.wrong)} of {wrong} wrong places", done
         if len(work.tets) > most:
             return f"{len(work.tets)} tets, more than {growth:g} times those given", done
         if not _split(work, where, order(work)):
@@ -185,26 +191,58 @@ def _judged(work: _Work) -> _Work:
     return work
 
 
-_Order = Callable[[_Work], list[tuple[Int, Int]]]
-"""Which edges of the wrong tets to split next, most urgent first: ends, and the tets around."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Cut:
+    """An edge, where on the way from its first to its second end it is to be split, and the tets around it."""
+
+    ends: Int
+    share: float
+    around: Int
 
 
-def _longest_edges(work: _Work) -> list[tuple[Int, Int]]:
+_Order = Callable[[_Work], list[_Cut]]
+"""What to split next, most urgent first."""
+
+
+def _wrong_tets(work: _Work) -> Int:
+    return np.unique(np.concatenate([work.inverted, work.crossing.ravel()]))
+
+
+def _freeing_cuts(work: _Work) -> list[_Cut]:
+    """The cut that frees each flat wrong tet; the longest edge of each other one."""
+    wrong = _wrong_tets(work)
+    ends, lengths = _edges_by_length(work, wrong)
+    near = Incidence(work.tets, work.tets[wrong].ravel())
+    chosen: dict[tuple[int, int], tuple[float, _Cut]] = {}
+    for tet, own, sizes in zip(wrong, ends, lengths, strict=True):
+        tries = [(edge, 0.5) for edge in own]
+        freeing = freeing_cut(work.rest[work.tets[tet]])
+        if freeing is not None:
+            i, j, share = freeing
+            tries.insert(0, (work.tets[tet][[i, j]], share))
+        cut = _first_possible(work, near, tries)
+        if cut is not None:
+            low, high = sorted(cut.ends.tolist())
+            chosen.setdefault((low, high), (sizes[0], cut))
+    return [cut for _, cut in sorted(chosen.values(), key=lambda item: -item[0])]
+
+
+def _longest_edges(work: _Work) -> list[_Cut]:
     """The longest edge of each wrong tet that can be split."""
-    ends, lengths = _edges_by_length(work, np.unique(np.concatenate([work.inverted, work.crossing.ravel()])))
+    wrong = _wrong_tets(work)
+    ends, lengths = _edges_by_length(work, wrong)
+    near = Incidence(work.tets, work.tets[wrong].ravel())
     chosen = {}
     for own, sizes in zip(ends, lengths, strict=True):
-        for edge, size in zip(own, sizes, strict=True):
-            around = tets_around(work.tets, edge[None])[0]
-            if _can_split(work, edge, around):
-                chosen[int(edge[0]), int(edge[1])] = size, edge, around
-                break
-    return [(edge, around) for _, edge, around in sorted(chosen.values(), key=lambda item: -item[0])]
+        cut = _first_possible(work, near, [(edge, 0.5) for edge in own])
+        if cut is not None:
+            chosen[int(cut.ends[0]), int(cut.ends[1])] = sizes[0], cut
+    return [cut for _, cut in sorted(chosen.values(), key=lambda item: -item[0])]
 
 
-def _edges_no_neighbour_exceeds(work: _Work) -> list[tuple[Int, Int]]:
+def _edges_no_neighbour_exceeds(work: _Work) -> list[_Cut]:
     """From the longest edge of each wrong tet on to longer ones of the tets around, until there is none."""
-    ends, _ = _edges_by_length(work, np.unique(np.concatenate([work.inverted, work.crossing.ravel()])))
+    ends, _ = _edges_by_length(work, _wrong_tets(work))
     seen: set[tuple[int, int]] = set()
     chosen = []
     for edge in ends[:, 0]:
@@ -215,15 +253,28 @@ def _edges_no_neighbour_exceeds(work: _Work) -> list[tuple[Int, Int]]:
             size = lengths[0][(candidates[0] == edge).all(axis=1)][0]
             longest = int(np.argmax(lengths[:, 0]))
             if lengths[longest, 0] <= size:
-                if _can_split(work, edge, around):
-                    chosen.append((edge, around))
+                cut = _Cut(edge, 0.5, around)
+                chosen += [cut] if _keeps_rest(work, cut) else []
                 break
             edge = candidates[longest, 0]
     return chosen
 
 
-_ORDERS: tuple[tuple[_Order, float], ...] = ((_longest_edges, 1.0 / 3.0), (_edges_no_neighbour_exceeds, 1.0))
-"""The ways to choose edges, and the share of the rounds that each may take; the second starts anew."""
+_ORDERS: tuple[tuple[_Order, float], ...] = (
+    (_freeing_cuts, 1.0 / 3.0),
+    (_longest_edges, 1.0 / 3.0),
+    (_edges_no_neighbour_exceeds, 1.0),
+)
+"""The ways to choose edges, each starting anew, and the share of the rounds that each may take."""
+
+
+def _first_possible(work: _Work, near: Incidence, tries: list[tuple[Int, float]]) -> _Cut | None:
+    """The first cut that leaves all pieces right-handed at rest, rounding of the new vertex included."""
+    for ends, share in tries:
+        cut = _Cut(ends, share, near.around(ends))
+        if _keeps_rest(work, cut):
+            return cut
+    return None
 
 
 def _edges_by_length(work: _Work, tets: Int) -> tuple[Int, Float]:
@@ -235,17 +286,16 @@ def _edges_by_length(work: _Work, tets: Int) -> tuple[Int, Float]:
     return np.take_along_axis(ends, order[..., None], axis=1), np.take_along_axis(lengths, order, axis=1)
 
 
-def _split(work: _Work, where: Map, edges: list[tuple[Int, Int]]) -> bool:
+def _split(work: _Work, where: Map, cuts: list[_Cut]) -> bool:
     """Split those of the edges that have no tet in common; False where there is none."""
-    if not edges:
+    if not cuts:
         return False
-    chosen = independent_edges([around for _, around in edges])
-    ends = np.array([edges[number][0] for number in chosen])
-    middles = 0.5 * (work.rest[ends[:, 0]] + work.rest[ends[:, 1]])
+    chosen = [cuts[number] for number in independent_edges([cut.around for cut in cuts])]
+    ends = np.array([cut.ends for cut in chosen])
+    middles = np.array([_new_vertex(work, cut) for cut in chosen])
     split = split_edges(work.tets, ends, len(work.rest) + np.arange(len(chosen)))
-    cuts = work.cuts.copy()
-    np.add.at(cuts, work.origin[split.parent[len(work.tets) :]], 1)
-    work.cuts = cuts
+    work.cuts = work.cuts.copy()
+    np.add.at(work.cuts, work.origin[split.parent[len(work.tets) :]], 1)
     work.origin = work.origin[split.parent]
     work.tets = split.tets
     work.rest = np.vstack([work.rest, middles])
@@ -254,13 +304,18 @@ def _split(work: _Work, where: Map, edges: list[tuple[Int, Int]]) -> bool:
     return True
 
 
-def _can_split(work: _Work, ends: Int, around: Int) -> bool:
-    """Whether all halves are right-handed at rest, rounding of the middle included."""
-    middle = 0.5 * (work.rest[ends[0]] + work.rest[ends[1]])
-    local = np.vstack([work.rest[work.tets[around]].reshape(-1, 3), middle])
-    old = np.arange(4 * len(around)).reshape(-1, 4)
-    corners = work.tets[around]
-    halves = np.concatenate([np.where(corners == end, len(local) - 1, old) for end in ends])
+def _new_vertex(work: _Work, cut: _Cut) -> Float:
+    a, b = work.rest[cut.ends]
+    place: Float = (1.0 - cut.share) * a + cut.share * b
+    return place
+
+
+def _keeps_rest(work: _Work, cut: _Cut) -> bool:
+    """Whether all pieces are right-handed at rest."""
+    corners = work.tets[cut.around]
+    local = np.vstack([work.rest[corners].reshape(-1, 3), _new_vertex(work, cut)])
+    old = np.arange(4 * len(corners)).reshape(-1, 4)
+    halves = np.concatenate([np.where(corners == end, len(local) - 1, old) for end in cut.ends])
     return bool((orientations(local, halves) > 0).all() and (signed_volumes(local, halves) > 0.0).all())
 
 

@@ -27,6 +27,40 @@ class SplitTets:
     parent: Int
 
 
+class Incidence:
+    """The tets at each of some vertices of a mesh, found once for many edges.
+
+    Parameters
+    ----------
+    tets : (k, 4) int64
+    vertices : (v,) int64
+        Edges that have an end among these can be asked for.
+    """
+
+    def __init__(self, tets: Tets, vertices: Int) -> None:
+        known = np.zeros(int(tets.max(initial=0)) + 1, dtype=bool)
+        known[vertices] = True
+        near = np.flatnonzero(known[tets].any(axis=1))
+        corners = tets[near].ravel()
+        order = np.argsort(corners, kind="stable")
+        self._numbers, starts = np.unique(corners[order], return_index=True)
+        self._known, self._starts = known, np.append(starts, len(order))
+        self._tets = near[order // 4]
+
+    def around(self, edge: Int) -> Int:
+        """Numbers of the tets that have both ends of an edge, rising."""
+        if not self._known[edge].any():
+            raise MeshError(f"edge {edge.tolist()} has no end among the vertices asked for")
+        found: Int = np.intersect1d(*(self._at(vertex) for vertex in edge), assume_unique=True)
+        return found
+
+    def _at(self, vertex: int) -> Int:
+        row = int(np.searchsorted(self._numbers, vertex))
+        if row == len(self._numbers) or self._numbers[row] != vertex:
+            return np.zeros(0, dtype=np.int64)
+        return self._tets[self._starts[row] : self._starts[row + 1]]
+
+
 def independent_edges(around: list[Int]) -> Int:
     """Numbers of edges no two of which have a tet in common, taken greedily in the order given.
 
@@ -88,7 +122,8 @@ def split_edges(tets: Tets, edges: Int, middles: Int) -> SplitTets:
     MeshError
         An edge that no tet has, or two edges in one tet.
     """
-    around = tets_around(tets, edges)
+    near = Incidence(tets, edges[:, 0])
+    around = [near.around(edge) for edge in edges]
     empty = [number for number, own in enumerate(around) if not len(own)]
     if empty:
         raise MeshError(f"no tet has the edge {edges[empty[0]].tolist()}; name edges of the mesh")

@@ -14,7 +14,7 @@ from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.orientation import orientations
 from musclefit.geometry.tet_quality import dihedral_angles
-from musclefit.geometry.tet_subdivision import independent_edges, split_edges, tets_around
+from musclefit.geometry.tet_subdivision import Incidence, independent_edges, split_edges, tets_around
 from musclefit.geometry.tet_topology import interface, tet_edges, tet_faces
 from musclefit.geometry.volumes import enclosed_volume, signed_volumes
 
@@ -166,3 +166,16 @@ def test_volumes_of_a_split_block_add_up() -> None:
     fine, origin = split_at_random(mesh, np.random.default_rng(2), rounds=5)
     sums = np.bincount(origin, weights=signed_volumes(fine.vertices, fine.tets))
     np.testing.assert_allclose(sums, signed_volumes(mesh.vertices, mesh.tets), rtol=1e-12)
+
+
+def test_tets_around_edges_are_the_same_by_incidence() -> None:
+    mesh = block((3, 2, 2))
+    ends, _ = tet_edges(mesh.tets)
+    near = Incidence(mesh.tets, np.arange(0, len(mesh.vertices), 2))
+    for edge, around in zip(ends, tets_around(mesh.tets, ends), strict=True):
+        if (edge % 2).all():
+            with pytest.raises(MeshError, match="has no end among the vertices"):
+                near.around(edge)
+        else:
+            np.testing.assert_array_equal(near.around(edge), around)
+    assert near.around(np.array([0, len(mesh.vertices) - 1])).size == 0

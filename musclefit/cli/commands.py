@@ -17,6 +17,7 @@ from rich.console import Console
 import musclefit
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.cage import cage
+from musclefit.cli.export import export
 from musclefit.cli.fit_joint import fit_joint
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
@@ -171,6 +172,7 @@ def check(
 
 app.command(warp_image, name="warp-image", sort_key=4)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
+app.command(export, sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
 app.command(repair, sort_key=3)

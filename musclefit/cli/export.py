@@ -1,0 +1,41 @@
+"""The command that writes a run's tetrahedra for a solver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from musclefit.io.run_tets import Shape
+
+PASSED = 0
+
+
+def export(
+    run: Annotated[Path, Parameter(help="The folder that a run wrote.")],
+    out: Annotated[
+        Path, Parameter(help="The file to write: .feb (FEBio 4.0), .inp (Abaqus), .msh (Gmsh 4.1) or .vtu; replaced.")
+    ],
+    /,
+    *,
+    shape: Annotated[
+        Shape, Parameter(name="--shape", help="Positions after the deformation or before it.", show_default=True)
+    ] = Shape.DEFORMED,
+    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+) -> int:
+    """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm."""
+    from musclefit.io.run_tets import read_run_tets
+    from musclefit.io.solver_files import PLACEHOLDER, check_solver_path, write_solver_file
+
+    check_solver_path(out)
+    tets = read_run_tets(run, shape=shape)
+    write_solver_file(out, tets)
+    if not quiet:
+        sets = tets.sets
+        print(f"wrote {out}: {len(tets.vertices)} nodes, {len(tets.tets)} tetrahedra in {len(sets)} sets, mm")
+        for label, own in sets.items():
+            print(f"  {label}: {len(own)}")
+        if out.suffix.lower() in (".feb", ".inp"):
+            print(PLACEHOLDER)
+    return PASSED

@@ -1,0 +1,57 @@
+"""The export command: a run's tetrahedra in a solver's file, deformed or at rest, or a clear refusal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from tet_blocks import two_tissues
+
+from musclefit.cli import main
+from musclefit.io.outputs import DeformedTets, labelled_tets
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path) -> Path:
+    """The parts of a run's folder that the command reads."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    rest = two_tissues((2, 2, 2))
+    labelled_tets(DeformedTets(rest, 2.0 * rest.mesh.vertices)).save(folder / "tets.vtu")
+    (folder / "report.json").write_text(json.dumps({"title": "Two tissues"}), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("options", "scale"), [((), 2.0), (("--shape", "rest"), 1.0)])
+def test_a_run_is_exported_at_the_shape_asked_for(
+    options: tuple[str, ...], scale: float, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(run_folder), str(tmp_path / "out.inp"), *options]) == 0
+    found = meshio.read(tmp_path / "out.inp")
+    rest = two_tissues((2, 2, 2))
+    np.testing.assert_array_equal(found.points, scale * rest.mesh.vertices)
+    told = capsys.readouterr().out
+    assert "27 nodes, 48 tetrahedra in 2 sets, mm" in told
+    assert "  bone: 24" in told
+    assert "placeholders" in told
+
+
+@pytest.mark.parametrize(
+    ("missing", "out", "said"),
+    [
+        ("tets.vtu", "out.feb", "the run made no tetrahedra"),
+        ("report.json", "out.feb", "name the folder that a run wrote"),
+        ("", "out.xyz", "is no known format"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(
+    missing: str, out: str, said: str, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if missing:
+        (run_folder / missing).unlink()
+    assert main(["export", str(run_folder), str(tmp_path / out)]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / out).exists()

@@ -1,0 +1,162 @@
+"""What solvers are given: read back by meshio, or held against the documented rules of FEBio's format 4.0."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from tet_blocks import two_tissues
+
+from musclefit.errors import InputError
+from musclefit.io.solver_files import FORMATS, PLACEHOLDER, UNITS, LabelledTets, solver_labels, write_solver_file
+
+NAMES = ("muscle: biceps / brachii", "empty tissue", "bone")
+
+
+@pytest.fixture
+def tets() -> LabelledTets:
+    """Two tissues that share an interface, at places that no short decimal holds, and a node that nothing uses."""
+    rest = two_tissues((4, 2, 3))
+    vertices = np.vstack([rest.mesh.vertices / 3.0 + (1e3, -0.1, 1e-17), [[9.0, 9.0, 9.0]]])
+    return LabelledTets(
+        "Elbow <75°> -- *bent*", vertices, rest.mesh.tets, np.where(rest.tissue_of_tet == 0, 0, 2), NAMES
+    )
+
+
+def written(path: Path, tets: LabelledTets) -> Path:
+    write_solver_file(path, tets)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+    return path
+
+
+def assert_same(tets: LabelledTets, points: np.ndarray, sets: dict[str, np.ndarray]) -> None:
+    """The same nodes, bit for bit, and for each tissue the same tets in the same order of corners."""
+    np.testing.assert_array_equal(points, tets.vertices)
+    assert list(sets) == list(tets.sets)
+    for label, own in tets.sets.items():
+        np.testing.assert_array_equal(sets[label], tets.tets[own])
+
+
+def test_gmsh_is_read_back_by_meshio(tets: LabelledTets, tmp_path: Path) -> None:
+    found = meshio.read(written(tmp_path / "arm.msh", tets))
+    physical = np.concatenate(found.cell_data["gmsh:physical"])
+    cells = np.concatenate([block.data for block in found.cells if block.type == "tetra"])
+    numbers = {label: int(tag) for label, (tag, dimension) in found.field_data.items() if dimension == 3}
+    order = np.argsort(list(numbers.values()))
+    sets = {label: cells[physical == numbers[label]] for label in np.array(list(numbers))[order]}
+    text = (tmp_path / "arm.msh").read_text(encoding="ascii")
+    tags = np.concatenate(
+        [np.array(block.split(), dtype=int) for block in re.findall(r"^3 \d+ 0 \d+\n((?:\d+\n)+)", text, re.MULTILINE)]
+    )
+    # meshio keeps the order of the file, in which the nodes of the first tissue come first
+    points = np.empty_like(found.points)
+    points[tags - 1] = found.points
+    assert_same(tets, points, {str(label): (tags - 1)[own] for label, own in sets.items()})
+    assert text.startswith("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n")
+
+
+def test_abaqus_is_read_back_by_meshio(tets: LabelledTets, tmp_path: Path) -> None:
+    path = written(tmp_path / "arm.inp", tets)
+    found = meshio.read(path)
+    blocks = [block.data for block in found.cells if block.type == "tetra"]
+    text = path.read_text(encoding="ascii")
+    labels = re.findall(r"^\*ELEMENT, TYPE=C3D4, ELSET=(\w+)$", text, re.MULTILINE)
+    assert_same(tets, found.points, dict(zip(labels, blocks, strict=True)))
+    sections = re.findall(r"^\*SOLID SECTION, ELSET=(\w+), MATERIAL=(\w+)$", text, re.MULTILINE)
+    materials = re.findall(r"^\*MATERIAL, NAME=(\w+)$", text, re.MULTILINE)
+    assert [label for label, _ in sections] == labels
+    assert [material for _, material in sections] == materials
+    assert f"** {UNITS}" in text
+    assert PLACEHOLDER in text
+    assert max(map(len, text.splitlines())) <= 256
+
+
+def test_vtu_is_read_back_by_meshio(tets: LabelledTets, tmp_path: Path) -> None:
+    found = meshio.read(written(tmp_path / "arm.vtu", tets))
+    tissue = found.cell_data["tissue"][0]
+    cells = found.cells[0].data
+    assert_same(tets, found.points, {label: cells[tissue == k] for k, label in enumerate(tets.sets)})
+
+
+def test_febio_keeps_the_rules_of_its_format(tets: LabelledTets, tmp_path: Path) -> None:
+    """febio_spec 4.0: order of sections, unique ids, one domain and one material by name for every part."""
+    path = written(tmp_path / "arm.feb", tets)
+    text = path.read_text(encoding="iso-8859-1")
+    assert text.splitlines()[0] == '<?xml version="1.0" encoding="ISO-8859-1"?>'
+    assert UNITS in text
+    assert PLACEHOLDER in text
+    root = ET.fromstring(text)
+    assert (root.tag, root.attrib) == ("febio_spec", {"version": "4.0"})
+    assert [child.tag for child in root] == ["Module", "Globals", "Material", "Mesh", "MeshDomains", "Output"]
+    assert root[0].attrib == {"type": "solid"}
+    assert {c.tag for c in root.findall("Globals/Constants/*")} == {"T", "P", "R", "Fc"}
+    mesh = root.find("Mesh")
+    assert mesh is not None
+    assert [child.tag for child in mesh] == ["Nodes", *["Elements"] * len(tets.sets)]
+    nodes = mesh.findall("Nodes/node")
+    assert [int(n.attrib["id"]) for n in nodes] == list(range(1, len(tets.vertices) + 1))
+    points = np.array([[float(x) for x in (n.text or "").split(",")] for n in nodes])
+    parts = mesh.findall("Elements")
+    assert {part.attrib["type"] for part in parts} == {"tet4"}
+    elements = mesh.findall("Elements/elem")
+    assert sorted(int(e.attrib["id"]) for e in elements) == list(range(1, len(tets.tets) + 1))
+    sets = {
+        part.attrib["name"]: np.array([[int(x) - 1 for x in (e.text or "").split(",")] for e in part]) for part in parts
+    }
+    assert_same(tets, points, sets)
+    materials = root.findall("Material/material")
+    assert [m.attrib["id"] for m in materials] == [str(k + 1) for k in range(len(materials))]
+    assert all(m.attrib["type"] == "neo-Hookean" and {c.tag for c in m} == {"density", "E", "v"} for m in materials)
+    domains = root.findall("MeshDomains/SolidDomain")
+    assert [d.attrib["name"] for d in domains] == list(sets)
+    assert [d.attrib["mat"] for d in domains] == [m.attrib["name"] for m in materials]
+    corners = points[np.concatenate(list(sets.values()))]
+    assert np.linalg.det(corners[:, 1:] - corners[:, :1]).min() > 0.0  # FEBio's tet4 is right-handed
+
+
+def test_tissues_share_the_nodes_of_their_interface_and_unused_nodes_are_left_out(tets: LabelledTets) -> None:
+    one, other = (set(tets.tets[own].ravel().tolist()) for own in tets.sets.values())
+    assert len(one & other) == 3 * 4
+    assert len(one | other) == len(tets.vertices) == 5 * 3 * 4
+
+
+def test_labels_suit_every_format_and_differ_without_case() -> None:
+    labels = solver_labels(("Biceps", "biceps", "biceps ", "3rd rib", "肱二頭筋", "", "x" * 200, "x" * 201))
+    assert len({label.casefold() for label in labels}) == 8
+    assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,79}", label) for label in labels)
+    assert labels[0] == "Biceps"
+
+
+def test_what_cannot_be_written_is_refused_and_leaves_what_was_there(tets: LabelledTets, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"the ending '.stl' is no known format; use one of .feb, .inp, .msh, .vtu"):
+        write_solver_file(tmp_path / "arm.stl", tets)
+    (tmp_path / "folder.feb").mkdir()
+    with pytest.raises(InputError, match="is a folder"):
+        write_solver_file(tmp_path / "folder.feb", tets)
+    with pytest.raises(InputError, match="there is no folder"):
+        write_solver_file(tmp_path / "none" / "arm.feb", tets)
+    with pytest.raises(InputError, match="no tetrahedron"):
+        LabelledTets("none", tets.vertices, tets.tets[:0], tets.tissue_of_tet[:0], NAMES)
+    with pytest.raises(InputError, match="labelled 0 to 2, but 2 tissues are named"):
+        LabelledTets("few", tets.vertices, tets.tets, tets.tissue_of_tet, NAMES[:2])
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_an_interrupted_write_keeps_the_former_file(
+    ending: str, tets: LabelledTets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"arm{ending}"
+    path.write_text("former", encoding="utf-8")
+
+    def interrupted(self: Path, target: Path) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_solver_file(path, tets)
+    assert path.read_text(encoding="utf-8") == "former"
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]

@@ -51,7 +51,7 @@ class Incidence:
         """Numbers of the tets that have both ends of an edge, rising."""
         if not self._known[edge].any():
             raise MeshError(f"edge {edge.tolist()} has no end among the vertices asked for")
-        found: Int = np.intersect1d(*(self._at(vertex) for vertex in edge), assume_unique=True)
+        found: Int = np.intersect1d(self._at(int(edge[0])), self._at(int(edge[1])), assume_unique=True)
         return found
 
     def _at(self, vertex: int) -> Int:

@@ -10,7 +10,7 @@ the others and is left alone.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -164,20 +164,26 @@ def resolved(anatomy: Anatomy, *, rule: Rule, settings: RepairSettings, progress
         for done, (name, plan) in enumerate(plans.items(), start=1):
             now[name] = _tidied(given[name], _tools(given, plan), work[name], settings=settings)
             tick(done / len(plans))
-    meetings = _meetings(now, changed=set(plans), progress=progress)
+    known = [(pair.a, pair.b) for pair in pairs]
+    meetings = _meetings(now, known, given=given, progress=progress)
     for attempt in range(ROUNDS):
+        # cuts only take away, so pairs that were apart are looked at once the others are apart
+        meetings = meetings or _meetings(now, _near(now, changed=set(work)), given=given, progress=progress)
         if not meetings:
             break
-        changed = set()
         with progress.stage(f"places that still meet, round {attempt + 1}") as tick:
-            for done, meeting in enumerate(meetings, start=1):
-                tick(done / len(meetings))
-                own = work.setdefault(meeting.loser, _Work(CLEARANCE_MM))
+            losers = sorted({meeting.loser for meeting in meetings})
+            for done, name in enumerate(losers, start=1):
+                own = work.setdefault(name, _Work(CLEARANCE_MM))
                 own.clearance_mm = CLEARANCE_MM * (attempt + 1)
-                tools = _tools_at(now, meeting, clearance_mm=own.clearance_mm)
-                now[meeting.loser] = _tidied(now[meeting.loser], tools, own, settings=settings)
-                changed.add(meeting.loser)
-        meetings = _meetings(now, changed=changed, progress=progress)
+                lost = [meeting for meeting in meetings if meeting.loser == name]
+                tools = [tool for one in lost for tool in _tools_at(now, one, clearance_mm=own.clearance_mm)]
+                now[name] = _tidied(now[name], tools, own, settings=settings)
+                tick(done / len(losers))
+        known = sorted({*known, *((meeting.winner, meeting.loser) for meeting in meetings)})
+        meetings = _meetings(now, [pair for pair in known if set(losers) & set(pair)], given=given, progress=progress)
+    else:
+        meetings = _meetings(now, _near(now, changed=set(work)), given=given, progress=progress)
     kept = tuple(now.get(tissue.name, tissue) for tissue in anatomy)
     cuts = tuple(_said_cut(given[name], now[name], own) for name, own in work.items())
     left = tuple((meeting.winner, meeting.loser) for meeting in meetings)
@@ -197,7 +203,7 @@ def _planned(
     """Who loses what to whom, and the pairs."""
     plans: dict[str, _Plan] = defaultdict(_Plan)
     pairs: list[PairResolution] = []
-    near = _near(tissues)
+    near = _near(tissues, changed=tissues)
     with progress.stage("overlaps") as tick:
         for done, (one, other) in enumerate(near, start=1):
             tick(done / len(near))
@@ -265,21 +271,28 @@ def _volume_in(common: TriMesh, tool: TriMesh) -> float:
     return enclosed_volume(part) if len(part.faces) else 0.0
 
 
-def _near(tissues: Mapping[str, Tissue]) -> list[tuple[str, str]]:
+def _near(tissues: Mapping[str, Tissue], *, changed: Collection[str]) -> list[tuple[str, str]]:
+    """Pairs with a changed tissue whose boxes touch."""
     names = list(tissues)
     boxes = [np.stack([t.surface.vertices.min(axis=0), t.surface.vertices.max(axis=0)]) for t in tissues.values()]
-    return [(names[i], names[j]) for i, j in candidate_pairs(boxes)]
+    pairs = [(names[i], names[j]) for i, j in candidate_pairs(boxes)]
+    return [pair for pair in pairs if pair[0] in changed or pair[1] in changed]
 
 
-def _meetings(tissues: Mapping[str, Tissue], *, changed: set[str], progress: Progress) -> list[_Meeting]:
-    """Pairs with a changed tissue that cross, touch or lie in each other, exactly."""
-    near = [pair for pair in _near(tissues) if changed & set(pair)]
+def _meetings(
+    tissues: Mapping[str, Tissue],
+    pairs: Sequence[tuple[str, str]],
+    *,
+    given: Mapping[str, Tissue],
+    progress: Progress,
+) -> list[_Meeting]:
+    """Those of the pairs that cross, touch or lie in each other, exactly; who goes before is as at the start."""
     found = []
-    starts = {name: _starts(tissues[name].surface) for name in {name for pair in near for name in pair}}
+    starts = {name: _starts(tissues[name].surface) for name in {name for pair in pairs for name in pair}}
     with progress.stage("pairs that still meet") as tick:
-        for done, (one, other) in enumerate(near, start=1):
-            tick(done / len(near))
-            first = goes_before(tissues[one], tissues[other])
+        for done, (one, other) in enumerate(pairs, start=1):
+            tick(done / len(pairs))
+            first = goes_before(given[one], given[other])
             winner, loser = (one, other) if first else (other, one)
             a, b = tissues[winner].surface, tissues[loser].surface
             faces = _crossing_faces(a, b)

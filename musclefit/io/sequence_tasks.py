@@ -88,12 +88,12 @@ def write_between(folder: Path, summary: BetweenSummary, *, key: str) -> None:
 
 
 def read_between(folder: Path, number: int) -> BetweenSummary | None:
-    """What was found between a frame and the next; None where it must be examined (again)."""
+    """What was found between a frame and the next; None where the frames have changed since, or nothing is there."""
     path = folder / BETWEEN / f"{number:04d}.json"
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         ends = [frame_folder(folder, k) / VERTICES for k in (number, number + 1)]
-        if record.pop("key") != between_key(*ends) or record["problem"]:
+        if record.pop("key") != between_key(*ends):
             return None
         return BetweenSummary(**{**record, "passages": tuple(tuple(p) for p in record["passages"])})
     except (OSError, ValueError, KeyError, TypeError):

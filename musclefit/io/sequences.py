@@ -173,7 +173,7 @@ def run_sequence(
         stored = [_require(read_frame(folder, p.number, key=keys[p.number]), p) for p in poses]
         if between:
             asked = [k for k in range(len(poses) - 1) if all(stored[j].vertices_sha256 for j in (k, k + 1))]
-            todo = [k for k in asked if read_between(folder, k) is None]
+            todo = [k for k in asked if (read := read_between(folder, k)) is None or read.problem]
             cpu_s["between frames"] = _run(pool, examine, todo, "between frames", progress, done=len(asked) - len(todo))
     summaries = tuple(frame.summary for frame in stored)
     report = SequenceReport(
@@ -242,7 +242,7 @@ def _between(folder: Path, frames: Sequence[FrameSummary]) -> tuple[BetweenSumma
             found.append(BetweenSummary(first.number, second.number, problem=problem))
         else:
             read = read_between(folder, first.number)
-            found.append(read or BetweenSummary(first.number, second.number, problem="ipctk is not installed"))
+            found.append(read or BetweenSummary(first.number, second.number, problem="not written whole"))
     return tuple(found)
 
 

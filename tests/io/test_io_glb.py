@@ -5,10 +5,13 @@ from __future__ import annotations
 import io
 import json
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista as pv
 import trimesh
+from vtkmodules.vtkIOGeometry import vtkGLTFReader
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
@@ -79,6 +82,24 @@ def test_other_readers_open_it() -> None:
     assert {geometry.is_watertight for geometry in scene.geometry.values()} == {True}
     expected = FRAMES[0].vertices()[:, [0, 2, 1]] * (1e-3, 1e-3, -1e-3)
     np.testing.assert_allclose(scene.bounds, [expected.min(axis=0), expected.max(axis=0)], rtol=0, atol=1e-7)
+
+
+def test_vtk_plays_it(tmp_path: Path) -> None:
+    """An independent reader, at each frame's time and between two: shape keys blend evenly."""
+    path = tmp_path / "motion.glb"
+    path.write_bytes(animated_glb(FRAMES, TIMES, colours=COLOURS))
+    reader = vtkGLTFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    reader.EnableAnimation(0)
+    reader.ApplyDeformationsToGeometryOn()
+    reader.UpdateInformation()
+    expected = {time - 0.5: frame.tissues[0].surface.vertices for time, frame in zip(TIMES, FRAMES, strict=True)}
+    expected[0.125] = 0.5 * (expected[0.0] + expected[0.25])
+    for time, vertices in expected.items():
+        reader.UpdateTimeStep(time)
+        points = pv.wrap(reader.GetOutput()).combine().points[: len(vertices)]
+        np.testing.assert_allclose(points, 1e-3 * vertices[:, [0, 2, 1]] * (1, 1, -1), rtol=0, atol=1e-7)
 
 
 def test_frames_that_do_not_fit_are_refused() -> None:

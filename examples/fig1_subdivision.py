@@ -167,7 +167,7 @@ def draw(rows: list[Row], file: Path) -> None:
         ends = np.column_stack([ends, np.full(len(ends), 0.1)])
         plotter.add_points(ends[:2], color="red", point_size=14, render_points_as_spheres=True)
         plotter.add_points(ends[2:], color="black", point_size=9, render_points_as_spheres=True)
-        said = "rest"
+        said = "rest\nviolet: smaller than this, orange: larger, magenta: folded"
         if row is not None:
             said = f"{row.case}\nsteps: {row.steps}, folded: {row.folded} of {row.triangles} triangles"
         plotter.add_text(said, font_size=10, color="black")
@@ -185,15 +185,17 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     rows = compare()
-    print("| case | ended | steps | triangles | folded triangles | min area ratio | min det J on the grid | map |")
-    print("|---|---|---|---|---|---|---|---|")
-    for row in rows:
-        print(
-            f"| {row.case} | {row.ended} | {row.steps} | {row.triangles} | {row.folded} | {row.min_ratio:.3f} | "
-            f"{row.min_determinant:.3f} | {row.claim} |"
-        )
+    lines = ["| case | ended | steps | triangles | folded triangles | min area ratio | min det J on the grid | map |"]
+    lines += ["|---|---|---|---|---|---|---|---|"]
+    lines += [
+        f"| {row.case} | {row.ended} | {row.steps} | {row.triangles} | {row.folded} | {row.min_ratio:.3f} | "
+        f"{row.min_determinant:.3f} | {row.claim} |"
+        for row in rows
+    ]
+    print("\n".join(lines))
+    (out / "fig1_subdivision.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     draw(rows, out / "fig1_subdivision.png")
-    print(f"wrote {out / 'fig1_subdivision.png'}")
+    print(f"wrote {out / 'fig1_subdivision.png'} and the table beside it")
 
 
 if __name__ == "__main__":

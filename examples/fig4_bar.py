@@ -173,21 +173,21 @@ def measure(method: Method, path: SkeletonPath, mesh: TetMesh) -> Row | None:
     )
 
 
-def print_table(case: str, rows: list[Row | None]) -> None:
+def table(rows: list[Row | None]) -> list[str]:
     """One line for each method."""
-    print(f"\n{case}")
-    print(
-        "| method | ended | steps | inverted tets | tet volume ratio, min | max | volume, % | handles off, mm | map |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    lines = [
+        "| method | ended | steps | inverted tets | tet volume ratio, min | max | volume, % | handles off, mm | map |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
     for method, row in zip(METHODS, rows, strict=True):
         if row is None:
-            print(f"| {method.name} | handles meet on their way | - | - | - | - | - | - | - |")
+            lines.append(f"| {method.name} | handles meet on their way | - | - | - | - | - | - | - |")
             continue
-        print(
+        lines.append(
             f"| {row.method} | {row.ended} | {row.steps} | {row.inverted} | {row.min_ratio:.3f} | "
             f"{row.max_ratio:.3f} | {row.volume_percent:+.2f} | {row.handle_error_mm:.0e} | {row.claim} |"
         )
+    return lines
 
 
 def draw(rows: list[Row | None], path: SkeletonPath, mesh: TetMesh, file: FilePath) -> None:
@@ -212,6 +212,16 @@ def draw(rows: list[Row | None], path: SkeletonPath, mesh: TetMesh, file: FilePa
             show_edges=True,
             edge_opacity=0.25,
             show_scalar_bar=place == len(shown) - 1,
+            scalar_bar_args={
+                "title": "tet volume over that at rest; magenta: inverted\n",
+                "title_font_size": 15,
+                "label_font_size": 15,
+                "color": "black",
+                "n_labels": 5,
+                "width": 0.9,
+                "position_x": 0.05,
+                "position_y": 0.02,
+            },
         )
         if (ratios <= 0.0).any():
             plotter.add_mesh(grid.extract_cells(ratios <= 0.0), color="magenta", show_scalar_bar=False)
@@ -219,7 +229,7 @@ def draw(rows: list[Row | None], path: SkeletonPath, mesh: TetMesh, file: FilePa
         plotter.add_points(ends[:STATIONS], color="red", point_size=10, render_points_as_spheres=True)
         plotter.add_points(ends[STATIONS:], color="black", point_size=8, render_points_as_spheres=True)
         said = "" if row is None else f"{row.ended}, steps: {row.steps}, inverted tets: {row.inverted}"
-        plotter.add_text(f"{'rest' if row is None else row.method}\n{said}", font_size=9, color="black")
+        plotter.add_text(f"{'rest' if row is None else row.method}\n{said}", font_size=10, color="black")
         middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
         plotter.camera.focal_point = middle
         plotter.camera.position = middle + np.array([22.0, -100.0, 42.0])
@@ -239,10 +249,12 @@ def main() -> None:
     print(f"{len(mesh.tets)} tets, {len(mesh.vertices)} vertices; {STATIONS} landmarks on the axis")
     for case, path in skeleton_paths(48.0).items():
         rows = [measure(method, path, mesh) for method in METHODS]
-        print_table(case, rows)
+        lines = table(rows)
+        print("\n".join(["", case, *lines]))
         file = arguments.out / f"fig4_{case.replace(', ', '_').replace(' ', '_')}.png"
+        file.with_suffix(".md").write_text("\n".join(lines) + "\n", encoding="utf-8")
         draw(rows, path, mesh, file)
-        print(f"wrote {file}")
+        print(f"wrote {file} and the table beside it")
 
 
 if __name__ == "__main__":

@@ -106,6 +106,12 @@ def run(
             "written to points/ in the same format. May be given again.",
         ),
     ] = (),
+    intermediate: Annotated[
+        bool,
+        Parameter(
+            name="--intermediate", help="Write the surfaces after each step of the way too, to intermediate/01, ..."
+        ),
+    ] = False,
     no_tets: NoTets = False,
     quiet: Quiet = False,
     json: Json = False,
@@ -114,7 +120,16 @@ def run(
     path = find_rig(rig)
     overrides = (*set, *([f"deformer.backend={backend}"] if backend else []))
     folder = out if out is not None else Path("musclefit-out") / path.stem
-    return _run(path, overrides, out=folder, points=points, no_tets=no_tets, quiet=quiet, json=json)
+    return _run(
+        path,
+        overrides,
+        out=folder,
+        points=points,
+        intermediate=intermediate,
+        no_tets=no_tets,
+        quiet=quiet,
+        json=json,
+    )
 
 
 @app.command(sort_key=3)
@@ -219,6 +234,7 @@ def _run(
     *,
     out: Path,
     points: Sequence[Path] = (),
+    intermediate: bool = False,
     no_tets: bool,
     quiet: bool,
     json: bool,
@@ -244,7 +260,7 @@ def _run(
             if finding.code == CACHE_FINDING:
                 stages.say(finding.message)
         result = retarget(job, tets=tets, progress=stages)
-        report = save(result, out, seconds=stages.seconds, progress=stages)
+        report = save(result, out, seconds=stages.seconds, intermediate=intermediate, progress=stages)
     if json:
         _print_json(_written(out))
     elif not quiet:

@@ -7,7 +7,7 @@ import os
 import shutil
 import unicodedata
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -27,9 +27,10 @@ from musclefit.report.schema import Json, to_json
 
 if TYPE_CHECKING:
     from musclefit.anatomy.tetrahedra import TetAnatomy
+    from musclefit.pipeline.states import State
 
 REPORT_JSON, REPORT_HTML = "report.json", "report.html"
-SURFACES, PICTURES, TETS, POINTS = "surfaces", "pictures", "tets.vtu", "points"
+SURFACES, PICTURES, TETS, POINTS, INTERMEDIATE = "surfaces", "pictures", "tets.vtu", "points", "intermediate"
 
 _NO_POINTS: Mapping[str, Callable[[Path], None]] = MappingProxyType({})
 _NAME_BYTES = 100
@@ -93,6 +94,7 @@ def write_run(
     pictures: Mapping[str, bytes],
     pictures_problem: str = "",
     points: Mapping[str, Callable[[Path], None]] = _NO_POINTS,
+    states: Iterable[State] = (),
 ) -> tuple[Path, ...]:
     """Write one run: report, page, deformed surfaces, tetrahedra, pictures, further points.
 
@@ -111,6 +113,8 @@ def write_run(
         Why there are no pictures.
     points : mapping of file name to callable
         Further files, each written to the path that it is given.
+    states : iterable of State
+        Intermediate states, whose surfaces are written one folder each.
 
     Returns
     -------
@@ -143,6 +147,7 @@ def write_run(
             (build / POINTS).mkdir()
         for name, write in points.items():
             write(build / POINTS / name)
+        _write_states(build / INTERMEDIATE, states, names=names)
         page = render_html(report, pictures=pictures, pictures_problem=pictures_problem)
         (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 
@@ -240,6 +245,19 @@ def labelled_tets(tets: DeformedTets) -> Any:
     for index, safe in enumerate(file_names(tets.rest.names).values()):
         grid.field_data[_escaped(safe)] = np.array([index, _SOLID], dtype=np.int64)
     return grid
+
+
+def _write_states(folder: Path, states: Iterable[State], *, names: Mapping[str, str]) -> None:
+    """A folder of surfaces for each state, numbered from 01, and a table of the share of the way at which each is."""
+    lines = ["state,share_of_the_way"]
+    for number, state in enumerate(states, start=1):
+        place = folder / f"{number:02d}"
+        place.mkdir(parents=True)
+        for tissue in state.anatomy:
+            (place / f"{names[tissue.name]}.ply").write_bytes(ply_bytes(tissue.surface))
+        lines.append(f"{number:02d},{state.at!r}")
+    if len(lines) > 1:
+        (folder / "states.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json) -> tuple[Path, ...]:

@@ -17,6 +17,7 @@ from musclefit.io.outputs import DeformedTets, write_run
 from musclefit.io.provenance import measured
 from musclefit.io.tet_cache import TetCache, TetPlan, default_cache_folder, default_limit_mb
 from musclefit.pipeline.retarget import Outcome, Retargeting
+from musclefit.pipeline.states import states
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import FurtherPoints, Job
@@ -65,6 +66,7 @@ def save(
     folder: str | Path,
     *,
     seconds: Mapping[str, float] | None = None,
+    intermediate: bool = False,
     progress: Progress | None = None,
 ) -> Report:
     """Write a run whole: report.json, report.html, surfaces, tetrahedra, pictures.
@@ -76,6 +78,8 @@ def save(
         Made, or a former run of ours to replace.
     seconds : mapping of stage to seconds, optional
         As measured by who ran it; read when the pictures are done.
+    intermediate : bool
+        Whether to write the surfaces after each stretch of the way too, to ``intermediate/01``, ...
 
     Returns
     -------
@@ -107,6 +111,7 @@ def save(
         pictures=drawn.pictures,
         pictures_problem=drawn.problem,
         points={file.name: partial(_moved_points, file, result) for file in result.job.further},
+        states=states(result) if intermediate else (),
     )
     return report
 

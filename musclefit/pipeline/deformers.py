@@ -26,7 +26,7 @@ from musclefit.geometry.distances import thinned
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles
 from musclefit.rig.job import Job
-from musclefit.rig.model import BackendKind, BoneLimit, DeformerSettings, Kernel, StepKind, TestedAt
+from musclefit.rig.model import BackendKind, BoneLimit, DeformerSettings, Kernel, SkeletonDrive, StepKind, TestedAt
 from musclefit.rig.section import suggestion
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
@@ -53,7 +53,7 @@ class Deformed:
 def backend_for(settings: DeformerSettings) -> Backend:
     """The backend that the settings name."""
     builders: Mapping[BackendKind, Callable[[], Backend]] = {
-        BackendKind.RBF: lambda: RadialBackend(settings.kernel.value),
+        BackendKind.RBF: lambda: RadialBackend(settings.kernel.value, smoothing=settings.smoothing),
         BackendKind.FFD: lambda: FfdBackend(settings.lattice_spacing_mm, settings.lattice_levels),
     }
     return builders[settings.backend]()
@@ -133,14 +133,21 @@ def method_in_words(job: Job) -> str:
     if job.rig.bones.keep_rigid or job.rig.bones.keep_similar:
         bones = ", bones kept"
     field = field_in_words(settings)
-    return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {settings.path.value} paths"
+    return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {_path_in_words(job)}"
+
+
+def _path_in_words(job: Job) -> str:
+    kind = "skeleton" if isinstance(job.rig.drive, SkeletonDrive) else job.rig.deformer.path.value
+    keyframes = f" through {len(job.stops)} keyframes" if job.stops else ""
+    return f"{kind} paths{keyframes}"
 
 
 def field_in_words(settings: DeformerSettings) -> str:
     """The backend and its own settings, for reports."""
     if settings.backend is BackendKind.FFD:
         return f"FFD, lattice {settings.lattice_spacing_mm:g} mm"
-    return f"RBF, kernel {settings.kernel.value}"
+    smoothed = f", smoothing {settings.smoothing:g}" if settings.smoothing else ""
+    return f"RBF, kernel {settings.kernel.value}{smoothed}"
 
 
 def rule_in_words(settings: DeformerSettings) -> str:
@@ -154,7 +161,7 @@ def _baseline_settings(job: Job) -> DeformerSettings:
     """The rig's own field, but the thin-plate spline for isochoric ones, which nobody else warps with."""
     settings = job.rig.deformer
     isochoric = settings.backend is BackendKind.RBF and KERNELS[settings.kernel.value].isochoric
-    return replace(settings, kernel=Kernel.R2_LOG_R) if isochoric else settings
+    return replace(settings, kernel=Kernel.R2_LOG_R, smoothing=0.0) if isochoric else settings
 
 
 def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:

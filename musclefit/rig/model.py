@@ -237,12 +237,13 @@ class DeformerSettings:
     The path is cut into at least ``min_steps`` stretches; no step uses more than ``limit_share`` of its rule's limit.
     ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
     most, each of half the spacing of the one before) are for free-form deformation.
+    ``smoothing`` lets radial sums miss noisy handles: it is added to the diagonal of the kernel's matrix.
 
     Raises
     ------
     RigError
-        ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a share that is not in (0, 1], or a spacing that is
-        not positive and finite.
+        ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a negative smoothing, a share that is not in (0, 1],
+        or a spacing that is not positive and finite.
     """
 
     backend: BackendKind = BackendKind.RBF
@@ -256,6 +257,7 @@ class DeformerSettings:
     limit_share: float = 1.0
     lattice_spacing_mm: float = 20.0
     lattice_levels: int = 6
+    smoothing: float = 0.0
 
     def __post_init__(self) -> None:
         _at_least_one("deformer.max_steps", self.max_steps)
@@ -263,6 +265,8 @@ class DeformerSettings:
         if not 0.0 < self.limit_share <= 1.0:
             raise RigError(f"deformer.limit_share: found {self.limit_share}; expected a share above 0 and up to 1")
         _at_least_one("deformer.lattice_levels", self.lattice_levels)
+        if not 0.0 <= self.smoothing < math.inf:
+            raise RigError(f"deformer.smoothing: found {self.smoothing}; expected a finite number of at least 0")
         if not 0.0 < self.lattice_spacing_mm < math.inf:
             raise RigError(
                 f"deformer.lattice_spacing_mm: found {self.lattice_spacing_mm}; expected a finite spacing above 0"
@@ -477,6 +481,8 @@ class Rig:
                 'or a [drive] of kind "joints"'
             )
         _require_path(self.drive, self.deformer.path)
+        if self.bones.rigid and self.deformer.smoothing:
+            raise RigError("deformer.smoothing: rigid bones are met exactly; remove it, or write bones.rigid = false")
         if self.bones.rigid and (
             not isinstance(self.drive, JointDrive)
             or self.deformer.path is PathKind.STRAIGHT

@@ -73,7 +73,7 @@ DRIVES: Mapping[DriveKind, type[Drive]] = {
 
 _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
     BackendKind.RBF: ("lattice_spacing_mm", "lattice_levels"),
-    BackendKind.FFD: ("kernel",),
+    BackendKind.FFD: ("kernel", "smoothing"),
 }
 """Keys of the deformer that a backend has no use for."""
 

@@ -77,7 +77,9 @@ def test_fig1_folds_in_one_shot_and_not_after_subdivision(tmp_path: Path) -> Non
     assert int(rows["far targets, iterative"][4]) == 0
     assert int(rows["farther targets, iterative"][4]) > 0
     assert int(rows["farther targets, iterative, subdivided"][4]) == 0
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["fig1_subdivision.png"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["fig1_subdivision.md", "fig1_subdivision.png"]
+    written = (tmp_path / "out" / "fig1_subdivision.md").read_text(encoding="utf-8")
+    assert table_rows(written) == table_rows(ended.stdout)
 
 
 @pytest.mark.slow
@@ -94,7 +96,7 @@ def test_fig4_reaches_its_marks(tmp_path: Path) -> None:
         assert float(ratio) >= 0.7
         assert abs(float(volume)) <= 0.5
         assert float(error) <= 1e-9
-    assert len(list((tmp_path / "out").iterdir())) == 2
+    assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".md", ".md", ".png", ".png"]
 
 
 def test_fig4_tells_its_options(tmp_path: Path) -> None:

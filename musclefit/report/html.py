@@ -11,6 +11,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from musclefit.anatomy.fits import TissueFit
+from musclefit.anatomy.layers import FILLER
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.report.comparison import Row, compare, worst_first
@@ -170,6 +172,7 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         "mesh_theorem": MESH_THEOREM,
         "mesh_surfaces": MESH_SURFACES,
         "tet_rows": _tet_rows(report),
+        "fits": () if report.tets is None else sorted(report.tets.tissues, key=_worst_fit_first),
         "skin": any(t.outside_skin_mm3 is not None for t in report.result.tissues),
         "bones": any(t.rigidity_mm is not None for t in report.result.tissues),
     }
@@ -244,6 +247,13 @@ def _pair_rows(report: Report) -> list[_PairRow]:
         )
 
     return sorted(rows, key=rank)
+
+
+def _worst_fit_first(fit: TissueFit) -> tuple[bool, bool, float]:
+    """The skin and the filler, then tissues that fell apart, then the largest error of volume."""
+    whole = fit.kind in (TissueKind.SKIN, FILLER)
+    apart = fit.pieces is not None and fit.surface_pieces is not None and fit.pieces > fit.surface_pieces
+    return not whole, not apart, -abs(fit.volume_error_percent or 0.0)
 
 
 def _largest_first(value: float) -> float:

@@ -314,8 +314,8 @@ def deviation_of(original: TriMesh, result: TriMesh, log: Log) -> Deviation:
     there = reach(kept, result, tolerance_mm=TOLERANCE_MM, where=not_enclosed)
     back = reach(result, known, tolerance_mm=TOLERANCE_MM)
     plain = max(
-        reach(original, result, tolerance_mm=COARSE_MM).at_least,
-        reach(result, original, tolerance_mm=COARSE_MM).at_least,
+        reach(original, result, tolerance_mm=COARSE_MM).at_most,
+        reach(result, original, tolerance_mm=COARSE_MM).at_most,
     )
     x, y, z = (there if there.at_least >= back.at_least else back).place
     return Deviation(

@@ -128,7 +128,7 @@ def test_holes_are_named_with_size_and_place_and_counted_apart():
     assert change.message == "filled a hole of 4 edges, 64 mm round and 256 mm², near (0.00, 0.00, 8.00) mm"
     assert change.area_mm2 == pytest.approx(256.0, rel=1e-12)
     assert found.deviation.largest_mm <= 1e-9
-    assert found.deviation.whole_mm == pytest.approx(8.0, abs=0.01)
+    assert 8.0 - 1e-9 <= found.deviation.whole_mm <= 8.16
     assert found.volume_after_mm3 == pytest.approx(4096.0, rel=1e-12)
 
 
@@ -180,7 +180,7 @@ def test_an_open_sheet_is_refused_or_thickened_to_its_area_times_the_thickness()
     assert found.after.none
     assert found.volume_after_mm3 == pytest.approx(32.0, rel=1e-9)
     assert [change.code for change in found.changes] == ["thickened-sheets"]
-    assert found.deviation.largest_mm == pytest.approx(0.25, abs=0.01)
+    assert 0.25 - 1e-9 <= found.deviation.largest_mm <= 0.27
 
 
 def test_a_moebius_band_is_refused_by_name():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from io import BytesIO
 from typing import Any
@@ -19,6 +20,8 @@ from musclefit.figures.panels import Panel, screenshot, tissue_panels
 FILM_HEIGHT_PX = 540
 _COLOURS = 128
 """Of a GIF."""
+_TITLE_ROOM = 0.08
+"""Share of the half height that is left above for the title."""
 
 
 def motion_pictures(
@@ -35,7 +38,9 @@ def motion_pictures(
         The narrow side in place of the broad one.
     """
     every = np.concatenate([frame.vertices()[::7] for frame in frames])
-    view = principal_views(every)[int(quarter_turn)]
+    seen = principal_views(every)[int(quarter_turn)]
+    room = _TITLE_ROOM * seen.half_height_mm
+    view = replace(seen, centre=seen.centre + room * seen.up, half_height_mm=seen.half_height_mm + room)
     colours = tissue_colours(frames[0])
     with pv.vtk_verbosity("off"):
         for frame, title in zip(frames, titles, strict=True):

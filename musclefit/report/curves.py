@@ -59,9 +59,9 @@ def curves(
             f'<path d="{path}" fill="none" stroke="{tone}" stroke-width="{width}"><title>{escape(name)}</title></path>'
         )
     for row, (name, tone) in enumerate(tones.items()):
-        at = HEIGHT + 16 * row + 6
-        parts.append(f'<rect x="{_LEFT}" y="{at - 4}" width="18" height="3" fill="{tone}"/>')
-        parts.append(f'<text x="{_LEFT + 24}" y="{at + 1}">{escape(name)}</text>')
+        below = HEIGHT + 16 * row + 6
+        parts.append(f'<rect x="{_LEFT}" y="{below - 4}" width="18" height="3" fill="{tone}"/>')
+        parts.append(f'<text x="{_LEFT + 24}" y="{below + 1}">{escape(name)}</text>')
     parts.append("</svg>")
     return "\n".join(parts)
 

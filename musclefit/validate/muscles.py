@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -51,10 +51,11 @@ def measure_muscles(solids: SolidAnatomy, *, sections: Mapping[str, Sections]) -
     sections : mapping of muscle name to Sections
         Of `muscle_sections`.
     """
+    nearest = _nearest(solids)
     measures = []
     for muscle in solids.anatomy.of_kind(TissueKind.MUSCLE):
         along = sections[muscle.name].measure(muscle.surface.vertices)
-        gap, neighbour = _nearest(solids, muscle.name)
+        gap, neighbour = nearest.get(muscle.name, (None, None))
         measures.append(
             MuscleMeasures(
                 name=muscle.name,
@@ -69,21 +70,22 @@ def measure_muscles(solids: SolidAnatomy, *, sections: Mapping[str, Sections]) -
     return tuple(measures)
 
 
-def _nearest(solids: SolidAnatomy, name: str) -> tuple[float, str] | tuple[None, None]:
-    """The smallest gap of a tissue to another but the skin, and which that is."""
-    if name not in solids.solids:
-        return None, None
-    own = solids.solids[name]
-    others = [t.name for t in solids.anatomy if t.kind is not TissueKind.SKIN and t.name != name]
+def _nearest(solids: SolidAnatomy) -> dict[str, tuple[float, str]]:
+    """The smallest gap of each muscle to another tissue but the skin, and which that is; those without are left out.
+
+    Each pair is looked at once, and only as far as it could be the smallest of one of the two.
+    """
+    names = [t.name for t in solids.anatomy if t.kind is not TissueKind.SKIN and t.name in solids.solids]
+    muscles = {t.name for t in solids.anatomy.of_kind(TissueKind.MUSCLE)}
+    found: dict[str, tuple[float, str]] = {}
     for within in (NEAR_MM, FAR_MM):
-        best, which = within, ""
-        for other in others:
-            if other in solids.solids:
-                gap = smallest_gap(own, solids.solids[other], within_mm=best)
-                if gap < best:
-                    best, which = gap, other
-            if math.isclose(best, 0.0, abs_tol=1e-12):
-                break
-        if which:
-            return best, which
-    return None, None
+        open_ones = {name for name in names if name in muscles and name not in found}
+        for one, other in combinations(names, 2):
+            if not open_ones & {one, other}:
+                continue
+            reach = max(found.get(name, (within, ""))[0] for name in (one, other) if name in open_ones)
+            gap = smallest_gap(solids.solids[one], solids.solids[other], within_mm=reach) if reach > 0.0 else np.inf
+            for name, neighbour in ((one, other), (other, one)):
+                if name in open_ones and gap < found.get(name, (within, ""))[0]:
+                    found[name] = gap, neighbour
+    return found

@@ -1,0 +1,72 @@
+"""The sequence and fit-joint commands: exit codes, what is written, messages for bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import trimesh
+from tiny_rigs import drive_by_joints, write_tiny_rig
+
+from musclefit.cli import main
+from musclefit.figures.rendering import rendering_problem
+
+JOINTS_PATH = ("--set", "deformer.path=joints")
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = write_tiny_rig(tmp_path / "rig")
+    drive_by_joints(path)
+    path.with_name("bend.csv").write_text("time_s,elbow_deg\n0,0\n1,20\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_a_sequence_is_written_with_all_its_outputs(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if rendering_problem():
+        pytest.skip(rendering_problem())
+    out = tmp_path / "out"
+    motion = str(rig.with_name("bend.csv"))
+    ended = main(["sequence", str(rig), motion, "--frames", "2", "-o", str(out), "--workers", "1", *JOINTS_PATH])
+    assert ended == 0
+    said = capsys.readouterr().out
+    assert "passed: Four balls, bent" in said
+    assert "2 of 2 frames made, 2 certified" in said
+    written = {path.name for path in out.iterdir()}
+    assert written >= {
+        "frames",
+        "between",
+        "sequence.json",
+        "sequence.pvd",
+        "muscles.csv",
+        "report.json",
+        "report.html",
+        "motion.glb",
+        "motion.gif",
+    }
+    assert (out / "motion.gif").read_bytes().startswith(b"GIF89a")
+
+
+def test_bad_input_ends_with_2_and_a_message(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sequence", str(rig), "-o", str(tmp_path / "out"), "--quiet", *JOINTS_PATH]) == 2
+    assert "drive.motion names no keyframes" in capsys.readouterr().err
+    rig.with_name("far.csv").write_text("time_s,elbow_deg\n0,0\n1,90\n", encoding="utf-8")
+    assert main(["sequence", str(rig), str(rig.with_name("far.csv")), "-o", str(tmp_path / "out"), "--quiet"]) == 2
+    assert "limits_deg" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_joint_is_fitted_and_printed_as_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    roller = trimesh.creation.cylinder(radius=10.0, height=30.0, sections=64).subdivide_to_size(4.0)
+    tube = trimesh.creation.annulus(r_min=11.0, r_max=14.0, height=28.0, sections=64).subdivide_to_size(4.0)
+    roller.export(tmp_path / "ulna.ply")
+    tube.export(tmp_path / "humerus.ply")
+    assert main(["fit-joint", str(tmp_path / "humerus.ply"), str(tmp_path / "ulna.ply"), "--within-mm", "2"]) == 0
+    said = capsys.readouterr().out
+    assert 'fixed = ["humerus"]' in said
+    assert "centre_mm = [" in said
+    assert "mm rms" in said
+    assert "the axes of the two bones differ by 0.0 deg and 0.0" in said

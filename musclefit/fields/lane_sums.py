@@ -30,7 +30,7 @@ BLOCK = 64
 
 
 @njit(**INNER)
-def _r_values(_soft, sources, block):
+def _r_values(sources, block):
     """-r."""
     x, y, z = load(block, 0), load(block, 1), load(block, 2)
     u, v, w = zero(), zero(), zero()
@@ -44,7 +44,7 @@ def _r_values(_soft, sources, block):
 
 
 @njit(**INNER)
-def _r_gradients(_soft, sources, block):
+def _r_gradients(sources, block):
     """-r and its gradient: with s = w / r the sums are those of s r² and of s (x - c)^T."""
     x, y, z = load(block, 0), load(block, 1), load(block, 2)
     u, v, w = zero(), zero(), zero()
@@ -91,8 +91,53 @@ def _isochoric_values(soft, sources, block):
 
 
 @njit(**INNER)
-def _isochoric_gradients(soft, sources, block):
-    """The same and its gradient.
+def _isochoric_gradients(sources, block):
+    """The same and its gradient for R = r.
+
+    With n = x / r and s = n.w a third of the displacement is r (s n - 3 w), and a third of the gradient is
+    n w^T - 3 w n^T - s n n^T + s I, so that the sums H of n w^T and S of s n n^T give it: H - 3 H^T - S + tr(H) I.
+    """
+    x, y, z = load(block, 0), load(block, 1), load(block, 2)
+    u, v, w = zero(), zero(), zero()
+    xx, xy, xz, yy, yz, zz = zero(), zero(), zero(), zero(), zero(), zero()
+    ux, uy, uz, vx, vy, vz, wx, wy, wz = zero(), zero(), zero(), zero(), zero(), zero(), zero(), zero(), zero()
+    for j in range(sources.shape[0]):
+        dx, dy, dz = x - sources[j, 0], y - sources[j, 1], z - sources[j, 2]
+        square = dx * dx + dy * dy + dz * dz + TINY
+        inverse = shared_inverse_root(square) * (1.0 / SHARE)
+        long = square * inverse
+        nx, ny, nz = dx * inverse, dy * inverse, dz * inverse
+        a, b, c = sources[j, 3], sources[j, 4], sources[j, 5]
+        s = nx * a + ny * b + nz * c
+        px, py, pz = s * nx, s * ny, s * nz
+        ux = ux + nx * a
+        uy = uy + nx * b
+        uz = uz + nx * c
+        vx = vx + ny * a
+        vy = vy + ny * b
+        vz = vz + ny * c
+        wx = wx + nz * a
+        wy = wy + nz * b
+        wz = wz + nz * c
+        xx = xx + px * nx
+        xy = xy + px * ny
+        xz = xz + px * nz
+        yy = yy + py * ny
+        yz = yz + py * nz
+        zz = zz + pz * nz
+        u = u + long * (px - sources[j, 6])
+        v = v + long * (py - sources[j, 7])
+        w = w + long * (pz - sources[j, 8])
+    trace = ux + vy + wz
+    _store_three(block, 3, 3.0, u, v, w)
+    _store_three(block, 6, 3.0, trace - 2.0 * ux - xx, uy - 3.0 * vx - xy, uz - 3.0 * wx - xz)
+    _store_three(block, 9, 3.0, vx - 3.0 * uy - xy, trace - 2.0 * vy - yy, vz - 3.0 * wy - yz)
+    _store_three(block, 12, 3.0, wx - 3.0 * uz - xz, wy - 3.0 * vz - yz, trace - 2.0 * wz - zz)
+
+
+@njit(**INNER)
+def _mollified_gradients(soft, sources, block):
+    """The same and its gradient, whatever R.
 
     With n = x / R, s = n.w and A = (3 + q) w + s n, a third of the displacement is R (A - 6 w), and a third of the
     gradient n w^T - A n^T + s I, one source's weight being w.
@@ -110,9 +155,9 @@ def _isochoric_gradients(soft, sources, block):
         nx, ny, nz = dx * inverse, dy * inverse, dz * inverse
         s = nx * a + ny * b + nz * c
         ax, ay, az = share * a + s * nx, share * b + s * ny, share * c + s * nz
-        u = u + long * (ax - sources[j, 6])
-        v = v + long * (ay - sources[j, 7])
-        w = w + long * (az - sources[j, 8])
+        u = u + long * (ax - sources[j, 6] - sources[j, 6])
+        v = v + long * (ay - sources[j, 7] - sources[j, 7])
+        w = w + long * (az - sources[j, 8] - sources[j, 8])
         diagonal = diagonal + s
         ux = ux + nx * a - ax * nx
         uy = uy + nx * b - ax * ny
@@ -146,20 +191,21 @@ def _load_points(points, origin, start, block):
 
 
 @njit(**OUTER)
-def values_in_lanes(isochoric, soft, points, origin, affine, sources, values):
+def values_in_lanes(kernel, soft, points, origin, affine, sources, values):
     """Write t + L x + sum_j K(x - c_j) w_j, x being points minus origin, to values (N, 3).
 
-    Affine is (4, 3): t and the rows of L; sources are (m, 9): centre, local to the origin, weight w and 6 w.
+    Affine is (4, 3): t and the rows of L; sources are (m, 9): centre, local to the origin, weight w and 3 w.
+    ``soft`` is the square of a mollifier's length, TINY where there is none.
     """
     n = points.shape[0]
     for task in prange((n + BLOCK - 1) // BLOCK):
         block = np.empty((6, WIDTH))
         for start in range(task * BLOCK, min(n, (task + 1) * BLOCK), WIDTH):
             _load_points(points, origin, start, block)
-            if isochoric:
-                _isochoric_values(soft, sources, block)
+            if kernel == 0:
+                _r_values(sources, block)
             else:
-                _r_values(soft, sources, block)
+                _isochoric_values(soft, sources, block)
             for lane in range(min(WIDTH, n - start)):
                 x, y, z = block[0, lane], block[1, lane], block[2, lane]
                 for k in range(3):
@@ -168,17 +214,19 @@ def values_in_lanes(isochoric, soft, points, origin, affine, sources, values):
 
 
 @njit(**OUTER)
-def gradients_in_lanes(isochoric, soft, points, origin, affine, sources, values, gradients):
+def gradients_in_lanes(kernel, soft, points, origin, affine, sources, values, gradients):
     """As ``values_in_lanes``, with the derivatives (N, 3, 3)."""
     n = points.shape[0]
     for task in prange((n + BLOCK - 1) // BLOCK):
         block = np.empty((15, WIDTH))
         for start in range(task * BLOCK, min(n, (task + 1) * BLOCK), WIDTH):
             _load_points(points, origin, start, block)
-            if isochoric:
-                _isochoric_gradients(soft, sources, block)
+            if kernel == 0:
+                _r_gradients(sources, block)
+            elif kernel == 20:
+                _isochoric_gradients(sources, block)
             else:
-                _r_gradients(soft, sources, block)
+                _mollified_gradients(soft, sources, block)
             for lane in range(min(WIDTH, n - start)):
                 x, y, z = block[0, lane], block[1, lane], block[2, lane]
                 for k in range(3):

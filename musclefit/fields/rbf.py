@@ -158,10 +158,10 @@ class RadialField:
         affine = np.zeros((4, 3))
         affine[0, :n], affine[1 : n + 1, :n] = self.translation, self.linear
         weights = _in_space(self.weights)
-        sources = np.hstack([_in_space(self.centres - self.origin), weights, 6.0 * weights])
+        sources = np.hstack([_in_space(self.centres - self.origin), weights, 3.0 * weights])
         soft = self.scale**2 if kernel.scaled else lane_sums.TINY
         where = np.ascontiguousarray(_in_space(points), dtype=np.float64)
-        return kernel.isochoric, soft, where, _in_space(self.origin[None])[0], affine, sources
+        return kernel.code, soft, where, _in_space(self.origin[None])[0], affine, sources
 
     def _local(self, points: Points) -> Points:
         return np.ascontiguousarray(_in_space(points - self.origin))

@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.landmarks import LandmarkTable, paired, positions_of, read_landmarks
+from musclefit.io.lattices import read_displacements
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
@@ -34,6 +37,7 @@ from musclefit.rig.job import (
     require_bones,
 )
 from musclefit.rig.joints import JointSystem, parse_joints
+from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import (
     CageCrossings,
     CageDrive,
@@ -41,6 +45,7 @@ from musclefit.rig.model import (
     JointDrive,
     Keyed,
     LandmarkDrive,
+    LatticeDrive,
     PathKind,
     Rig,
     SkeletonDrive,
@@ -122,6 +127,7 @@ def read_rig(
         name=rig_path.stem,
         source=str(rig_path),
         joints=joints,
+        lattice=driver.lattice if isinstance(driver, _Pairs) else None,
         overrides=tuple(overrides),
         further=further,
         stops=_stops(rig.drive),
@@ -161,6 +167,8 @@ def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
             landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
             motion = files.find(drive.motion, key="drive.motion") if drive.motion else ""
             return replace(drive, joints=joints, landmarks=landmarks, motion=motion)
+        case LatticeDrive():
+            return replace(drive, displacements=files.find(drive.displacements, key="drive.displacements"))
         case LandmarkDrive() | CageDrive() | SkeletonDrive():
             source = files.find(drive.source, key="drive.source")
             target = files.find(drive.target, key="drive.target") if drive.target else ""
@@ -176,6 +184,7 @@ class _Pairs:
     target: Points
     findings: tuple[Finding, ...]
     frame: str = ""
+    lattice: ControlLattice | None = None
     keyframes: tuple[tuple[float, Points], ...] = ()
 
 
@@ -212,6 +221,8 @@ def _read_driver(rig: Rig, files: NamedFiles) -> _Driver:
             return _read_skeleton(rig.drive, files)
         case CageDrive():
             return _read_cages(rig.drive, files)
+        case LatticeDrive():
+            return _read_lattice(rig.drive, files)
         case JointDrive():
             return _read_joint_drive(rig.drive, files, kind=rig.deformer.path)
 
@@ -323,6 +334,17 @@ def _read_cages(drive: CageDrive, files: NamedFiles) -> _Pairs:
             raise files.named("drive.keyframes", error) from None
         findings = (*findings, *found)
     return _Pairs(*pairs, (*findings, *more, *crossings), keyframes=tuple(keys))
+
+
+def _read_lattice(drive: LatticeDrive, files: NamedFiles) -> _Pairs:
+    path, shape = Path(drive.displacements), (drive.shape[0], drive.shape[1], drive.shape[2])
+    files.read(path, key="drive.displacements")
+    try:
+        moved = read_displacements(path, shape=shape, units=drive.units)
+        lattice = ControlLattice(np.array(drive.low_mm), np.array(drive.high_mm), shape, moved)
+    except InputError as error:
+        raise files.named("drive.displacements" if isinstance(error, LandmarkError) else "drive", error) from None
+    return _Pairs(lattice.handles(), lattice.arrivals(), (), lattice=lattice)
 
 
 def _landmarks(

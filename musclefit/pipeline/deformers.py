@@ -11,16 +11,19 @@ import numpy as np
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
-from musclefit.flow.deformation import Deformation
+from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, keeping_bones, kept_bones
+from musclefit.flow.lattice import march_lattice
 from musclefit.flow.march import Pace, march, one_shot, points_beside
 from musclefit.flow.rules import rule_for
 from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
+from musclefit.flow.steps import ExplicitStep
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.distances import thinned
 from musclefit.progress import Progress
@@ -75,8 +78,12 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
         stepper, tested = _bone_stepper(job, points)
         return Deformed(march(stepper, rule=rule, tested=tested, pace=pace, progress=progress), tuple(stepper.groups))
     tested = points if settings.tested_at is TestedAt.ALL_POINTS else points_beside(job.handles.source)
-    plain = HandleStepper(job.path, backend_for(settings), HANDLE_STEPS[settings.step])
-    free = march(plain, rule=rule, tested=tested, pace=pace, progress=progress)
+    if settings.backend is BackendKind.LATTICE:
+        lattice, displacements = _control_points(job)
+        free = march_lattice(lattice, displacements, tested=tested, max_steps=settings.max_steps)
+    else:
+        plain = HandleStepper(job.path, backend_for(settings), HANDLE_STEPS[settings.step])
+        free = march(plain, rule=rule, tested=tested, pace=pace, progress=progress)
     limits = bone_limits(job)
     if not limits:
         return Deformed(free, ())
@@ -117,7 +124,17 @@ def deform_in_one_shot(job: Job, points: Points) -> Deformation:
     """The baseline: the rig's handles in one explicit step that is held to no rule, as other tools warp landmarks."""
     settings = _baseline_settings(job)
     rule = rule_for(StepKind.EXPLICIT, settings.step_rule)
+    if settings.backend is BackendKind.LATTICE:
+        lattice, displacements = _control_points(job)
+        return Deformation((ExplicitStep(lattice.field(displacements)),), (), Status.ONE_SHOT)
     return one_shot(job.path, backend_for(settings), rule=rule, tested=points)
+
+
+def _control_points(job: Job) -> tuple[Lattice, Points]:
+    """The lattice that drives, and its displacements."""
+    drive = job.lattice
+    assert drive is not None  # a rig whose backend is its own lattice is driven by one
+    return Lattice.around(drive.low, drive.high, shape=drive.shape), drive.displacements
 
 
 def baseline_in_words(job: Job) -> str:
@@ -146,6 +163,8 @@ def field_in_words(settings: DeformerSettings) -> str:
     """The backend and its own settings, for reports."""
     if settings.backend is BackendKind.FFD:
         return f"FFD, lattice {settings.lattice_spacing_mm:g} mm"
+    if settings.backend is BackendKind.LATTICE:
+        return "FFD by its own control points"
     smoothed = f", smoothing {settings.smoothing:g}" if settings.smoothing else ""
     return f"RBF, kernel {settings.kernel.value}{smoothed}"
 

@@ -17,6 +17,7 @@ from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, StraightPath
 from musclefit.rig.joints import JointSystem
+from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import PathKind, Rig
 from musclefit.rig.paths import KeyframePath, ScrewPath
 from musclefit.rig.section import suggestion
@@ -76,6 +77,9 @@ class Job:
         For other poses of the same bones; None where no joint drives.
     overrides : tuple of str
         The ``key=value`` that changed the rig file's settings.
+    lattice : ControlLattice or None
+        The control points that drive; the handles are where they rest, and the path leads to where their splines take
+        them. None where no lattice drives.
     further : tuple of FurtherPoints
         Files whose points go where the map takes them.
     stops : tuple of float
@@ -93,6 +97,7 @@ class Job:
     source: str
     joints: JointSystem | None = None
     overrides: tuple[str, ...] = ()
+    lattice: ControlLattice | None = None
     further: tuple[FurtherPoints, ...] = ()
     stops: tuple[float, ...] = ()
 

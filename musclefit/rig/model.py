@@ -35,6 +35,7 @@ class BackendKind(StrEnum):
 
     RBF = "rbf"
     FFD = "ffd"
+    LATTICE = "lattice"
 
 
 class Kernel(StrEnum):
@@ -224,10 +225,35 @@ class SkeletonDrive:
             raise RigError(f"drive.normal: has {len(self.normal)} entries; expected a list of 3 numbers")
 
 
+@dataclass(frozen=True, slots=True)
+class LatticeDrive:
+    """Control points of a cubic B-spline lattice, moved one by one.
+
+    The outermost of ``shape`` control points lie on the faces of the box from ``low_mm`` to ``high_mm``. ``units`` is
+    the length unit of a file that states none.
+
+    Raises
+    ------
+    RigError
+        Corners or a shape that are not of three numbers.
+    """
+
+    displacements: str
+    low_mm: tuple[float, ...]
+    high_mm: tuple[float, ...]
+    shape: tuple[int, ...]
+    units: Unit = Unit.MILLIMETRE
+
+    def __post_init__(self) -> None:
+        for key in ("low_mm", "high_mm", "shape"):
+            if len(getattr(self, key)) != 3:
+                raise RigError(f"drive.{key}: found {list(getattr(self, key))}; expected 3 numbers, for x, y and z")
+
+
 Keyed = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive
 """Drives that can go through keyframes."""
 
-Drive = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive
+Drive = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive | LatticeDrive
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +262,7 @@ class DeformerSettings:
 
     The path is cut into at least ``min_steps`` stretches; no step uses more than ``limit_share`` of its rule's limit.
     ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
-    most, each of half the spacing of the one before) are for free-form deformation.
+    most, each of half the spacing of the one before) are for free-form deformation by handles.
     ``smoothing`` lets radial sums miss noisy handles: it is added to the diagonal of the kernel's matrix.
 
     Raises
@@ -483,6 +509,16 @@ class Rig:
         _require_path(self.drive, self.deformer.path)
         if self.bones.rigid and self.deformer.smoothing:
             raise RigError("deformer.smoothing: rigid bones are met exactly; remove it, or write bones.rigid = false")
+        if self.deformer.backend is BackendKind.LATTICE and (
+            not isinstance(self.drive, LatticeDrive)
+            or self.deformer.step is not StepKind.EXPLICIT
+            or self.deformer.step_rule is not StepRule.ROW_NORM
+        ):
+            raise RigError(
+                f'deformer.backend: found "{BackendKind.LATTICE}", the control points\' own loop: it needs a [drive] '
+                f'of kind "lattice", step "{StepKind.EXPLICIT}" and step_rule "{StepRule.ROW_NORM}"; else write '
+                f'"{BackendKind.FFD}" or "{BackendKind.RBF}"'
+            )
         if self.bones.rigid and (
             not isinstance(self.drive, JointDrive)
             or self.deformer.path is PathKind.STRAIGHT

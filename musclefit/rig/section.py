@@ -125,6 +125,16 @@ class Section:
         except ValueError:
             raise self.error(key, f"found {value!r}; {suggestion(value, [c.value for c in among])}") from None
 
+    def wholes(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers, written without a decimal point."""
+        values = self.table[key]
+        if not isinstance(values, list | tuple):
+            raise self._wrong(key, "a list of whole numbers, such as [7, 10, 5]")
+        for value in values:
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise self.error(key, f"holds {_described(value)}; expected a list of whole numbers")
+        return tuple(values)
+
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers."""
         values = self.table[key]

@@ -26,6 +26,7 @@ from musclefit.rig.model import (
     Drive,
     JointDrive,
     LandmarkDrive,
+    LatticeDrive,
     Limits,
     MeshSettings,
     Rig,
@@ -42,6 +43,7 @@ Record = TypeVar(
     LandmarkDrive,
     JointDrive,
     CageDrive,
+    LatticeDrive,
     SkeletonDrive,
     DeformerSettings,
     BoneSettings,
@@ -61,6 +63,7 @@ class DriveKind(StrEnum):
     LANDMARKS = "landmarks"
     JOINTS = "joints"
     CAGE = "cage"
+    LATTICE = "lattice"
     SKELETON = "skeleton"
 
 
@@ -68,12 +71,14 @@ DRIVES: Mapping[DriveKind, type[Drive]] = {
     DriveKind.LANDMARKS: LandmarkDrive,
     DriveKind.JOINTS: JointDrive,
     DriveKind.CAGE: CageDrive,
+    DriveKind.LATTICE: LatticeDrive,
     DriveKind.SKELETON: SkeletonDrive,
 }
 
 _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
     BackendKind.RBF: ("lattice_spacing_mm", "lattice_levels"),
     BackendKind.FFD: ("kernel", "smoothing"),
+    BackendKind.LATTICE: ("kernel", "smoothing", "lattice_spacing_mm", "lattice_levels", "min_steps", "limit_share"),
 }
 """Keys of the deformer that a backend has no use for."""
 
@@ -207,6 +212,8 @@ def _drive(section: Section) -> Drive:
             return _record(LandmarkDrive, section, besides=("kind",))
         case DriveKind.CAGE:
             return _record(CageDrive, section, besides=("kind",))
+        case DriveKind.LATTICE:
+            return _record(LatticeDrive, section, besides=("kind",))
         case DriveKind.SKELETON:
             return _record(SkeletonDrive, section, besides=("kind",))
         case DriveKind.JOINTS:
@@ -264,6 +271,8 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
     if hint == tuple[str, ...]:
         return _listed(section, key)
+    if hint == tuple[int, ...]:
+        return section.wholes(key)
     if hint == tuple[float, ...]:
         return section.numbers(key)
     if issubclass(hint, StrEnum):

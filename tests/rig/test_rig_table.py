@@ -207,7 +207,7 @@ WRONG = {
     ),
     "unknown backend": (
         rig_table(deformer__backend="spline"),
-        "arm.toml: deformer.backend: found 'spline'; known: ffd, rbf",
+        "arm.toml: deformer.backend: found 'spline'; known: ffd, lattice, rbf",
     ),
     "unknown unit": (
         rig_table(anatomy__units="inch"),

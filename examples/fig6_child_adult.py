@@ -4,7 +4,8 @@
 
 Each direction is run all the way, and both to the middle of every pair: with F from the child and B from the adult to
 the middle, child to adult is B^-1 after F and adult to child is F^-1 after B, which undo each other exactly.
-Certificates are on the adult's closed surface, and on the box around the child's, which is not closed.
+Certificates are on the adult's closed surface, and on the box around the child's, which is not closed; through the
+middle, both halves are certified.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, explicit_step
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.images import Frame
+from musclefit.geometry.images import Frame, Grid
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.surfaces import read_surface
 from musclefit.io.volumes import read_volume, write_volume
@@ -168,47 +169,90 @@ def compare(brains: Brains, backend: Backend) -> tuple[list[Row], dict[str, Defo
                 determinants=inner,
             )
         )
+    maps |= {f"{who} to the middle": half for who, half in halves.items()}
     apart = maps["adult to child"](maps["child to adult"](child.vertices)) - child.vertices
     return rows, maps, float(np.linalg.norm(apart, axis=1).mean())
 
 
 def draw(brains: Brains, maps: dict[str, Deformation], file: Path) -> None:
-    """Both brains, each carried to the other, coloured by the Jacobian determinant."""
+    """Both brains at rest, where they meet, and carried to the other, coloured by the Jacobian determinant."""
     import pyvista as pv
 
-    plotter = pv.Plotter(off_screen=True, shape=(2, 2), window_size=(1500, 1300), border=False)
+    middle = 0.5 * (brains.child_landmarks + brains.adult_landmarks)
+    ends = {"child": brains.child_landmarks, "adult": brains.adult_landmarks, "the middle": middle}
+    plotter = pv.Plotter(off_screen=True, shape=(2, 3), window_size=(2000, 1250), border=False)
     plotter.set_background("white")
-    cells = {
-        (0, 0): ("child", brains.child, None),
-        (0, 1): ("child to adult: det J", brains.child, maps["child to adult"]),
-        (1, 1): ("adult", brains.adult, None),
-        (1, 0): ("adult to child: det J", brains.adult, maps["adult to child"]),
-    }
-    for (row, column), (title, surface, deformation) in cells.items():
-        plotter.subplot(row, column)
-        vertices = surface.vertices if deformation is None else deformation(surface.vertices)
-        mesh = pv.PolyData.from_regular_faces(np.array(vertices), np.array(surface.faces))
-        if deformation is None:
-            ends = brains.child_landmarks if title == "child" else brains.adult_landmarks
-            plotter.add_mesh(mesh, color="#e9e2d5", smooth_shading=True)
-        else:
-            ends = brains.adult_landmarks if title.startswith("child") else brains.child_landmarks
-            mesh["det J"] = np.linalg.det(deformation.jacobian(surface.vertices))
-            plotter.add_mesh(
-                mesh, scalars="det J", clim=(0.0, 2.0), cmap="PuOr_r", below_color="magenta", smooth_shading=True
-            )
-        plotter.add_points(ends, color="red", point_size=10, render_points_as_spheres=True)
-        plotter.add_text(title, font_size=11, color="black")
-        plotter.camera.focal_point = (0.0, -15.0, 10.0)
-        plotter.camera.position = (-330.0, 90.0, 190.0)
-        plotter.camera.up = (0.0, 0.0, 1.0)
-        plotter.camera.view_angle = 30.0
+    for row, (who, other, surface) in enumerate((("child", "adult", brains.child), ("adult", "child", brains.adult))):
+        for column, where in enumerate((who, "the middle", other)):
+            plotter.subplot(row, column)
+            deformation = None if where == who else maps[f"{who} to {where}"]
+            vertices = surface.vertices if deformation is None else deformation(surface.vertices)
+            mesh = pv.PolyData.from_regular_faces(np.array(vertices), np.array(surface.faces))
+            if deformation is None:
+                plotter.add_mesh(mesh, color="#e9e2d5", smooth_shading=True)
+            else:
+                mesh["det J"] = np.linalg.det(deformation.jacobian(surface.vertices))
+                plotter.add_mesh(
+                    mesh,
+                    scalars="det J",
+                    clim=(0.0, 2.0),
+                    cmap="PuOr_r",
+                    below_color="magenta",
+                    smooth_shading=True,
+                    show_scalar_bar=(row, column) == (1, 2),
+                )
+            plotter.add_points(ends[where], color="red", point_size=10, render_points_as_spheres=True)
+            plotter.add_text(who if where == who else f"{who} to {where}: det J", font_size=11, color="black")
+            plotter.camera.focal_point = (0.0, -15.0, 10.0)
+            plotter.camera.position = (-330.0, 90.0, 190.0)
+            plotter.camera.up = (0.0, 0.0, 1.0)
+            plotter.camera.view_angle = 26.0
+    plotter.screenshot(file)
+    plotter.close()
+
+
+def around(surface: TriMesh, *, spacing_mm: float) -> Grid:
+    """An image grid, RAS+, around a surface."""
+    low, high = surface.vertices.min(axis=0) - 5.0, surface.vertices.max(axis=0) + 5.0
+    counts = np.ceil((high - low) / spacing_mm).astype(int) + 1
+    affine = np.diag([spacing_mm, spacing_mm, spacing_mm, 1.0])
+    affine[:3, 3] = low
+    return Grid((int(counts[0]), int(counts[1]), int(counts[2])), affine)
+
+
+def draw_slices(determinants: dict[str, tuple[Points, Grid, TriMesh]], file: Path) -> None:
+    """An axial slice through each Jacobian map, with the outline of the brain that the map is defined on."""
+    import pyvista as pv
+
+    plotter = pv.Plotter(off_screen=True, shape=(1, len(determinants)), window_size=(1400, 800), border=False)
+    plotter.set_background("white")
+    for column, (title, (values, grid, surface)) in enumerate(determinants.items()):
+        plotter.subplot(0, column)
+        image = pv.ImageData(dimensions=grid.shape)
+        image["det J"] = values.ravel(order="F")
+        height = float(np.median(surface.vertices[:, 2]))
+        layer = image.cast_to_structured_grid().transform(grid.affine, inplace=False).slice("z", (0.0, 0.0, height))
+        mesh = pv.PolyData.from_regular_faces(np.array(surface.vertices), np.array(surface.faces))
+        plotter.add_mesh(
+            layer,
+            scalars="det J",
+            clim=(0.0, 2.0),
+            cmap="PuOr_r",
+            below_color="magenta",
+            lighting=False,
+            show_scalar_bar=column == 0,
+        )
+        plotter.add_mesh(mesh.slice("z", (0.0, 0.0, height)).translate((0, 0, 0.5)), color="black", line_width=2)
+        plotter.add_text(f"{title}: det J at z = {height:.0f} mm", font_size=11, color="black")
+        plotter.view_xy()
+        plotter.enable_parallel_projection()
+        plotter.camera.zoom(1.3)
     plotter.screenshot(file)
     plotter.close()
 
 
 def main() -> None:
-    """Print the tables, write the Jacobian map of the child's volume, and draw the picture."""
+    """Print the tables, write the Jacobian maps of both directions, and draw the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("musclefit-out/fig6"))
     out = parser.parse_args().out
@@ -229,12 +273,20 @@ def main() -> None:
                 f"{row.before_mm:.2f}, {row.after_mm:.2f} |"
             )
         print(f"the two directions all the way, one after the other: {apart:.2f} mm from the identity on average")
-    volume = read_volume(data / "brain" / "child_T1_2mm.nii.gz")
-    determinants = jacobian_map(maps["child to adult"], volume.grid, frame=Frame.RAS)
-    write_volume(out / "jacobian_child_to_adult.nii.gz", determinants, volume.grid, description="det J, child to adult")
-    print(f"det J over the child's volume: {determinants.min():.2f} to {determinants.max():.2f}")
+    grids = {
+        "child to adult": (read_volume(data / "brain" / "child_T1_2mm.nii.gz").grid, brains.child),
+        "adult to child": (around(brains.adult, spacing_mm=2.0), brains.adult),
+    }
+    found = {}
+    for what, (grid, surface) in grids.items():
+        determinants = jacobian_map(maps[what], grid, frame=Frame.RAS)
+        file = out / f"jacobian_{what.replace(' ', '_')}.nii.gz"
+        write_volume(file, determinants, grid, description=f"det J, {what}")
+        print(f"det J, {what}, over {grid.count} voxels: {determinants.min():.2f} to {determinants.max():.2f}; {file}")
+        found[what] = (determinants, grid, surface)
     draw(brains, maps, out / "fig6_child_adult.png")
-    print(f"wrote {out / 'fig6_child_adult.png'} and {out / 'jacobian_child_to_adult.nii.gz'}")
+    draw_slices(found, out / "fig6_jacobian_maps.png")
+    print(f"wrote {out / 'fig6_child_adult.png'} and {out / 'fig6_jacobian_maps.png'}")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from musclefit.anatomy.repair import tidied
 from musclefit.anatomy.repairs import Change, RepairSettings
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Int, Points
-from musclefit.geometry.booleans import difference, grown_by, padded, shared
+from musclefit.geometry.booleans import as_manifold, as_mesh, difference, grown_by, padded, shared
 from musclefit.geometry.crossings import crossings_between
 from musclefit.geometry.faults import Faults, faults_of
 from musclefit.geometry.meshes import TriMesh
@@ -172,12 +172,12 @@ def resolved(anatomy: Anatomy, *, rule: Rule, settings: RepairSettings, progress
         if not meetings:
             break
         with progress.stage(f"places that still meet, round {attempt + 1}") as tick:
-            losers = sorted({meeting.loser for meeting in meetings})
+            losers, before = sorted({meeting.loser for meeting in meetings}), dict(now)
             for done, name in enumerate(losers, start=1):
                 own = work.setdefault(name, _Work(CLEARANCE_MM))
                 own.clearance_mm = CLEARANCE_MM * (attempt + 1)
                 lost = [meeting for meeting in meetings if meeting.loser == name]
-                tools = [tool for one in lost for tool in _tools_at(now, one, clearance_mm=own.clearance_mm)]
+                tools = [tool for one in lost for tool in _tools_at(before, one, clearance_mm=own.clearance_mm)]
                 now[name] = _tidied(now[name], tools, own, settings=settings)
                 tick(done / len(losers))
         known = sorted({*known, *((meeting.winner, meeting.loser) for meeting in meetings)})
@@ -204,13 +204,14 @@ def _planned(
     plans: dict[str, _Plan] = defaultdict(_Plan)
     pairs: list[PairResolution] = []
     near = _near(tissues, changed=tissues)
+    solids = {name: as_manifold(tissue.surface) for name, tissue in tissues.items()}
     with progress.stage("overlaps") as tick:
         for done, (one, other) in enumerate(near, start=1):
             tick(done / len(near))
             a, b = tissues[one], tissues[other]
             if not goes_before(a, b):
                 a, b = b, a
-            common = shared(a.surface, b.surface)
+            common = as_mesh(solids[a.name] ^ solids[b.name])
             volume = enclosed_volume(common) if len(common.faces) else 0.0
             if volume <= ROUNDING_MM3 and not len(_crossing_faces(a.surface, b.surface)):
                 continue

@@ -11,9 +11,11 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repairs import RepairSettings
 from musclefit.anatomy.resolving import CLEARANCE_MM, Rule, goes_before, resolved
 from musclefit.errors import InputError
-from musclefit.geometry.booleans import shared, united
+from musclefit.geometry.booleans import padded, shared, united
 from musclefit.geometry.crossings import crossings_between
+from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.faults import faults_of
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.volumes import enclosed_volume
 from musclefit.progress import Silent
 from musclefit.validate.overlaps import rest_overlaps
@@ -146,6 +148,34 @@ def test_crumbs_are_taken_out_and_counted():
 def test_one_inside_another_of_its_kind_is_not_split():
     found = _resolved(_anatomy(("m", MUSCLE, ball(3)), ("n", MUSCLE, ball(2, radius=3.0))), Rule.SPLIT)
     assert found.pairs[0].rule == "priority: the smaller muscle"
+
+
+def _wedge(thickness, *, turned, at=(0.0, 0.0, 0.0)):
+    """A blade of 12 x 12 mm that ends in a knife's edge, where growing along normals leaves no clearance."""
+    t = thickness
+    vertices = np.array(
+        [[0.0, -6.0, -t], [0.0, 6.0, -t], [0.0, -6.0, t], [0.0, 6.0, t], [12.0, -6.0, 0.0], [12.0, 6.0, 0.0]]
+    )
+    faces = np.array([[0, 2, 1], [1, 2, 3], [0, 1, 5], [0, 5, 4], [2, 4, 5], [2, 5, 3], [0, 4, 2], [1, 3, 5]])
+    return TriMesh((vertices[:, [1, 2, 0]] if turned else vertices) + np.array(at), faces)
+
+
+def test_knife_edges_are_cut_out_with_a_clearance_around_their_triangles():
+    first, second = _wedge(0.05, turned=False), _wedge(0.06, turned=True, at=(6.0, 0.5, -3.0))
+    anatomy = _anatomy(("a", MUSCLE, first), ("b", MUSCLE, second), ("c", MUSCLE, ball(3, radius=9.0)))
+    assert all(faults_of(t.surface).none for t in anatomy)
+    found = _resolved(anatomy)
+    assert len(found.pairs) == 3
+    assert max(cut.clearance_mm for cut in found.cuts) >= CLEARANCE_MM
+
+
+def test_triangles_padded_keep_the_distance_on_all_sides():
+    mesh = ball(1)
+    tool = padded(mesh, np.array([3, 4, 40]), distance_mm=0.1)
+    assert faults_of(tool).crossings == 0
+    apart = nearest_places(tool.vertices, TriMesh(mesh.vertices, mesh.faces[[3, 4, 40]])).distances
+    assert apart.min() >= 0.1 - 1e-9
+    assert apart.max() <= 0.1 * 3.0**0.5 + 1e-9
 
 
 def test_the_skin_is_left_alone_and_what_is_apart_too():

@@ -231,7 +231,9 @@ def draw_slices(determinants: dict[str, tuple[Points, Grid, TriMesh]], file: Pat
         image = pv.ImageData(dimensions=grid.shape)
         image["det J"] = values.ravel(order="F")
         height = float(np.median(surface.vertices[:, 2]))
-        layer = image.cast_to_structured_grid().transform(grid.affine, inplace=False).slice("z", (0.0, 0.0, height))
+        layer = (
+            image.cast_to_structured_grid().transform(grid.affine, inplace=False).slice("z", origin=(0.0, 0.0, height))
+        )
         mesh = pv.PolyData.from_regular_faces(np.array(surface.vertices), np.array(surface.faces))
         plotter.add_mesh(
             layer,
@@ -241,12 +243,13 @@ def draw_slices(determinants: dict[str, tuple[Points, Grid, TriMesh]], file: Pat
             below_color="magenta",
             lighting=False,
             show_scalar_bar=column == 0,
+            scalar_bar_args={"position_x": 0.25, "position_y": 0.05, "width": 0.5, "height": 0.07},
         )
-        plotter.add_mesh(mesh.slice("z", (0.0, 0.0, height)).translate((0, 0, 0.5)), color="black", line_width=2)
+        plotter.add_mesh(mesh.slice("z", origin=(0.0, 0.0, height)).translate((0, 0, 0.5)), color="black", line_width=2)
         plotter.add_text(f"{title}: det J at z = {height:.0f} mm", font_size=11, color="black")
         plotter.view_xy()
         plotter.enable_parallel_projection()
-        plotter.camera.zoom(1.3)
+        plotter.camera.zoom(1.15)
     plotter.screenshot(file)
     plotter.close()
 

@@ -48,24 +48,7 @@ class CompactBackend:
 
     def fit(self, at: Points, displacements: Points) -> RadialField:
         """The field that takes the (m, n) displacements at the (m, n) points."""
-        return self.fit_with_slip(at, displacements, slip_normals=np.zeros((0, at.shape[1])))
-
-    def fit_with_slip(self, at: Points, displacements: Points, *, slip_normals: Points) -> RadialField:
-        """A field that may slip at the last points: only its part along their normals is held there.
-
-        Parameters
-        ----------
-        at, displacements : (m, n) float64, mm
-        slip_normals : (s, n) float64
-            Unit normals of the last s points.
-        """
-        held = len(at) - len(slip_normals)
         n = at.shape[1]
-
-        def seen(values: Points) -> Points:
-            along = np.einsum("si,si->s", values[held:], slip_normals)
-            return np.vstack([values[:held], along[:, None] * slip_normals])
-
         zero = RadialField(
             kernel=self.kernel,
             scale=self.support_mm,
@@ -79,9 +62,8 @@ class CompactBackend:
         )
 
         def applied(weights: Float) -> Float:
-            return seen(replace(zero, weights=seen(weights.reshape(-1, n))).displacement(at)).ravel()
+            return replace(zero, weights=weights.reshape(-1, n)).displacement(at).ravel()
 
-        data = seen(displacements)
-        operator = LinearOperator((data.size, data.size), matvec=applied, dtype=np.float64)
-        weights, _ = cg(operator, data.ravel(), rtol=self.tolerance, atol=0.0, maxiter=self.max_iterations)
-        return replace(zero, weights=seen(weights.reshape(-1, n)))
+        operator = LinearOperator((at.size, at.size), matvec=applied, dtype=np.float64)
+        weights, _ = cg(operator, displacements.ravel(), rtol=self.tolerance, atol=0.0, maxiter=self.max_iterations)
+        return replace(zero, weights=weights.reshape(-1, n))

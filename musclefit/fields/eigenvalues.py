@@ -146,3 +146,20 @@ def ceiling_of_hull(hull, n, sign, found, clear):
             ceiling, first = value, lane
             _clear(hull, n, sign, ceiling, largest + abs(ceiling), clear)
     return ceiling
+
+
+@njit(cache=True)
+def widen_by_hull(hull, n, centre, strain, found, lanes, clear):
+    """Widen what is found of one part by the 64 matrices whose hull holds the gradients of another.
+
+    ``found`` is [radius] of the distance from the centre, or for strain [-lowest, highest] eigenvalue of the symmetric
+    parts; ``lanes`` and ``clear`` are (64,) to work in.
+    """
+    if not np.isfinite(hull.sum()):  # proves nothing
+        found[:] = np.inf
+        return
+    if not strain:
+        found[0] = max(found[0], largest_norm(hull, centre, lanes))
+        return
+    found[0] = ceiling_of_hull(hull, n, 1.0, found[0], clear)
+    found[1] = ceiling_of_hull(hull, n, -1.0, found[1], clear)

@@ -28,7 +28,7 @@ import numpy as np
 from numba import njit, prange
 
 from musclefit.fields.bernstein import along_first, along_second, along_third, derivative_matrix, value_matrix
-from musclefit.fields.eigenvalues import NORM_ROUNDING, ceiling_of_hull, floor_of, largest_norm, norm_ceiling
+from musclefit.fields.eigenvalues import NORM_ROUNDING, floor_of, norm_ceiling, widen_by_hull
 
 MAX_PARTS = 125
 """A box that is cut into more parts than this by the knots gets the coarse bound."""
@@ -266,20 +266,6 @@ def _work():
     )
 
 
-@njit(cache=True)
-def _judge(hull, n, centre, strain, found, work):
-    """Widen ``found`` by one part: [radius] of the distance from the centre, or [-lowest, highest] eigenvalue."""
-    lanes, clear = work[4][0], work[5]
-    if not np.isfinite(hull.sum()):  # proves nothing
-        found[:] = np.inf
-        return
-    if not strain:
-        found[0] = max(found[0], largest_norm(hull, centre, lanes))
-        return
-    found[0] = ceiling_of_hull(hull, n, 1.0, found[0], clear)
-    found[1] = ceiling_of_hull(hull, n, -1.0, found[1], clear)
-
-
 @njit(parallel=True, cache=True)
 def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found):
     """Bound the gradient or the strain of an affine part and all lattices over boxes.
@@ -319,7 +305,7 @@ def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found)
                     a[axis], b[axis] = knots[axis, rest % counts[axis]], knots[axis, rest % counts[axis] + 1]
                     rest //= counts[axis]
                 rounding = max(rounding, own + _hull(lattices, linear, n, a, b, hull, work))
-                _judge(hull, n, centre, strain, best, work)
+                widen_by_hull(hull, n, centre, strain, best, work[4][0], work[5])
         if strain:
             found[box, 0], found[box, 1] = best[0] + rounding, best[1] + rounding
         else:

@@ -90,6 +90,27 @@ class RadialField:
             translation=factor * self.translation,
         )
 
+    def plus(self, other: Self) -> Self:
+        """The sum of two fields of one kernel and scale.
+
+        Raises
+        ------
+        FieldError
+            Their kernels or scales differ.
+        """
+        if (self.kernel, self.scale) != (other.kernel, other.scale):
+            raise FieldError(
+                f"a field of kernel {self.kernel!r} and scale {self.scale} mm cannot be added to one of "
+                f"{other.kernel!r} and {other.scale} mm; both must have the same"
+            )
+        return replace(
+            self,
+            centres=np.concatenate([self.centres, other.centres]),
+            weights=np.concatenate([self.weights, other.weights]),
+            linear=self.linear + other.linear,
+            translation=self.translation + other.translation + other.linear @ (self.origin - other.origin),
+        )
+
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: (B, n, n) and radii (B,); see `protocol.Field`."""
         return enclosures.gradient_bounds(self, centres, half_widths, balls=enclosures.endless(centres))

@@ -1,4 +1,4 @@
-"""Bones that stay rigid: after each step of the handles, compact corrections bring the field into line with them."""
+"""Bones that stay rigid: the handles' field is brought into line with their motions by a local part on lattices."""
 
 from __future__ import annotations
 
@@ -6,28 +6,43 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from musclefit.anatomy.model import Anatomy
-from musclefit.fields.compact import CompactBackend
+from musclefit.errors import FieldError
+from musclefit.fields.corrected import CorrectedField
+from musclefit.fields.rbf import RadialField
+from musclefit.fields.solenoidal import SolenoidalField
+from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.steppers import HandleStepper, StepMaker
 from musclefit.flow.steps import CayleyStep, Step
 from musclefit.geometry.arrays import Bool, Float, Points
-from musclefit.geometry.distances import nearest_places, smooth_normals, thinned
+from musclefit.geometry.distances import nearest_places, smooth_normals
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.subdivision import with_short_edges
+from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.rig.handles import BoneMotions
 
-CORRECTION_KERNEL = "isochoric-wendland-c6"
-CORRECTION_TOLERANCE = 0.01
-"""Share of a correction's residual that its iteration may leave; the next level, or the next step, takes it up."""
+FIRST_ITERATIONS = 24
+"""Of a correction's least squares, from nothing."""
 
-SPACING_SHARE = 0.13
-"""Sources of a correction stand this share of its support apart: as many as it can tell apart."""
+CONTACT_REACH = 2.0
+"""Around the contact zones, as far as this times their width, bones are sampled as finely as in them: between coarser
+samples the field, which is steep there, would leak through the bone."""
 
-FINEST_MM = 0.5
-"""Sources of the last correction stand this far apart: nearly every sample of the bones."""
+SLIP_PASSES = 2
+"""Times that the contact zone is looked at again where the field slips it to, and the correction corrected."""
+
+MORE_ITERATIONS = 12
+"""Of each such pass."""
+
+EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
+"""Of the exact handles: conjugate gradients, started anew for what rounding left over, until they are met to this."""
+
+MISSED_MM = 0.003
+"""A correction ends sooner when it misses its data by this root mean square."""
 
 PATH_SAMPLES = 9
 """Poses along the path, ends included, at which the contact zone is looked for."""
@@ -64,7 +79,7 @@ class RigidGroup:
 
 
 def rigid_groups(
-    anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: float, sampled_mm: float
+    anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: float, sampled_mm: float, contact_sampled_mm: float
 ) -> tuple[RigidGroup, ...]:
     """Bones of the anatomy by common motion, with the contact zones between them.
 
@@ -78,16 +93,29 @@ def rigid_groups(
         ``PATH_SAMPLES`` poses.
     sampled_mm : float
         No edge of the groups' surfaces is longer.
+    contact_sampled_mm : float
+        Nor is any in and around the contact zones longer than this.
     """
     samples = poses_on_the_way(motions)
-    whole = [_group(anatomy, bones, sampled_mm) for bones in moving_together(anatomy, samples)]
-    contact = [group.contact.copy() for group in whole]
+    groups = [_group(anatomy, bones, sampled_mm) for bones in moving_together(anatomy, samples)]
+    first = _with_contacts(groups, samples, contact_zone_mm)
+    reach, longest = CONTACT_REACH * contact_zone_mm, contact_sampled_mm
+    finer = [_graded(g.surface, g.surface.vertices[g.contact], reach=reach, longest_mm=longest) for g in first]
+    graded = [replace(group, surface=surface) for group, surface in zip(first, finer, strict=True)]
+    return _with_contacts(graded, samples, contact_zone_mm)
+
+
+def _with_contacts(
+    groups: Sequence[RigidGroup], samples: Sequence[Mapping[str, RigidMotion]], zone: float
+) -> tuple[RigidGroup, ...]:
+    """The groups with their contact zones looked for anew."""
+    contact = [np.zeros(len(group.surface.vertices), dtype=bool) for group in groups]
     for sample in samples:
-        surfaces = [group.at(sample) for group in whole]
+        surfaces = [group.at(sample) for group in groups]
         for k, surface in enumerate(surfaces):
             for other in (s for j, s in enumerate(surfaces) if j != k):
-                contact[k] |= _closer(surface.vertices, other, contact_zone_mm)
-    return tuple(replace(group, contact=where) for group, where in zip(whole, contact, strict=True))
+                contact[k] |= _closer(surface.vertices, other, zone)
+    return tuple(replace(group, contact=where) for group, where in zip(groups, contact, strict=True))
 
 
 def poses_on_the_way(motions: BoneMotions) -> tuple[Mapping[str, RigidMotion], ...]:
@@ -110,35 +138,31 @@ def moving_together(anatomy: Anatomy, poses: Sequence[Mapping[str, RigidMotion]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoneStepper:
-    """A step of the handles, then compact isochoric corrections wide to narrow, then one that puts the handles exactly.
+    """One step per stretch, of a field in two parts: the handles' radial sum, and a local part that holds the bones.
 
-    The handles that must arrive exactly and the exposed vertices of the bones (`held_points`) are held to their rigid
-    motion; each correction starts from where the steps before took them, so that errors do not add up. In the contact
-    zone two bones slide past each other closer than any tissue between them could follow: there only the part along the
-    bone's normal is held, and the field may slip.
+    The local part is the curl of a B-spline potential on lattices around the bones, so that it has no divergence. It
+    takes what the radial part leaves of the rigid motions of the bones' exposed vertices (`held_points`), in the least
+    squares sense, and the exact handles to the last digit. Each stretch starts from where the stretches before took the
+    held points, so that errors do not add up. In the contact zone two bones slide past each other closer than any
+    tissue between them could follow: there only the part along the bone's normal is held, and the field may slip.
 
     Parameters
     ----------
     handles : HandleStepper
-        With Cayley steps.
+        With Cayley steps and a radial backend.
     groups : sequence of RigidGroup
     motions : BoneMotions
     exact : int
-        The first so many handles must arrive exactly; the others only help the first step.
-    supports_mm : sequence of float
-        Wide to narrow.
-
-    References
-    ----------
-    M. Floater and A. Iske, J. Comput. Appl. Math. 73 (1996) 65 (coarse to fine); F. Narcowich and J. Ward, Math. Comp.
-    63 (1994) 661 (kernels without divergence).
+        The first so many handles must arrive exactly; the others only help.
+    lattices_mm : sequence of float
+        Spacings of the local part's lattices.
     """
 
     handles: HandleStepper
     groups: Sequence[RigidGroup]
     motions: BoneMotions
     exact: int
-    supports_mm: Sequence[float]
+    lattices_mm: Sequence[float]
 
     def held_points(self) -> Points:
         """(h, 3) points at rest that a march must have as its last tested points, mm."""
@@ -151,60 +175,105 @@ class BoneStepper:
 
     def anchors(self, start: float) -> Points:
         """(a, 3) vertices of the contact zones, exactly on their bones at the start of the stretch."""
-        motions = self.motions.at(start)
-        return np.concatenate([g.at(motions).vertices[g.contact] for g in self.groups])
+        return self._slipping(start)
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
-        """The step of the handles, the corrections, and the handles' last correction."""
-        yield from self.handles.makers(start, end)
-        motions = self.motions.at(end)
-        surfaces = [group.at(motions) for group in self.groups]
-        handles = self.handles.path.position(end)[: self.exact]
-        targets = np.concatenate(
-            [handles, *(s.vertices[~g.contact] for g, s in zip(self.groups, surfaces, strict=True))]
-        )
-        for number, support in enumerate(self.supports_mm):
-            last = number == len(self.supports_mm) - 1
-            spacing = FINEST_MM if last else SPACING_SHARE * support
-            yield self._correction(surfaces, targets, support=support, spacing=spacing)
-        yield self._exact(targets)
-
-    def _correction(self, surfaces: Sequence[TriMesh], targets: Points, *, support: float, spacing: float) -> StepMaker:
-        backend = CompactBackend(CORRECTION_KERNEL, support, tolerance=CORRECTION_TOLERANCE)
+        """The one step."""
 
         def make(tested: Points, anchors: Points) -> Step:
+            surfaces = self._surfaces(end)
+            exposed = [s.vertices[~g.contact] for g, s in zip(self.groups, surfaces, strict=True)]
+            here, there = self.handles.path.position(start), self.handles.path.position(end)
+            targets = np.concatenate([there[: self.exact], *exposed])
             held = tested[-len(targets) :]
-            missed = targets - held
-            kept = thinned(held, spacing_mm=spacing)
-            places, normals = self._contact_targets(surfaces, anchors)
-            slips = thinned(anchors, spacing_mm=spacing)
-            off = np.einsum("si,si->s", places - anchors, normals)[slips, None] * normals[slips]
-            at = np.vstack([held[kept] + 0.5 * missed[kept], anchors[slips] + 0.5 * off])
-            moves = np.vstack([missed[kept], off])
-            return CayleyStep(backend.fit_with_slip(at, moves, slip_normals=normals[slips]))
+            here[: self.exact] = held[: self.exact]
+            radial = self._radial(here, there)
+            local = self._local(radial, held, targets, anchors, start=start, end=end)
+            exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
+            return CayleyStep(_exact_at(exact, moves, CorrectedField(radial, local)))
 
-        return make
+        return (make,)
 
-    def _exact(self, targets: Points) -> StepMaker:
-        backend = CompactBackend(CORRECTION_KERNEL, self.supports_mm[-1])
+    def _radial(self, here: Points, there: Points) -> RadialField:
+        """The handles' part."""
+        field = self.handles.make(self.handles.backend, here, there).field
+        if not isinstance(field, RadialField):
+            raise FieldError("bones are held rigid in radial fields only; the backend makes fields of another kind")
+        return field
 
-        def make(tested: Points, _anchors: Points) -> Step:
-            now, there = tested[-len(targets) :][: self.exact], targets[: self.exact]
-            return CayleyStep(backend.fit(0.5 * (now + there), there - now))
+    def _local(
+        self, radial: RadialField, held: Points, targets: Points, anchors: Points, *, start: float, end: float
+    ) -> SolenoidalField:
+        """The bones' part: exposed vertices to their targets, and contact zones along their normals."""
+        surfaces = self._surfaces(end)
+        places = self._slipping(end)
+        _, normals = self._nearest(surfaces, places)
+        middles = 0.5 * np.concatenate([held + targets, anchors + places])
+        backend = SolenoidalBackend(MISSED_MM)
+        local = backend.at_rest(middles, spacings_mm=self.lattices_mm)
+        for number in range(1 + SLIP_PASSES):
+            if number:
+                slipped = CayleyStep(CorrectedField(radial, local))(anchors)
+                places, normals = self._nearest(surfaces, slipped)
+            at = 0.5 * np.concatenate([held + targets, anchors + places])
+            left = np.concatenate([targets - held, places - anchors]) - CorrectedField(radial, local).displacement(at)
+            more = backend.fit(
+                at,
+                left,
+                slip_normals=self._half_way(normals, start=start, end=end),
+                on=local.levels,
+                iterations=MORE_ITERATIONS if number else FIRST_ITERATIONS,
+            )
+            local = local.plus(more)
+        return local
 
-        return make
+    def _surfaces(self, t: float) -> list[TriMesh]:
+        motions = self.motions.at(t)
+        return [group.at(motions) for group in self.groups]
 
-    def _contact_targets(self, surfaces: Sequence[TriMesh], anchors: Points) -> tuple[Points, Points]:
-        """Nearest places on their own bones, and the normals there, of the anchors."""
+    def _slipping(self, t: float) -> Points:
+        motions = self.motions.at(t)
+        return np.concatenate([motions[g.bones[0]](g.surface.vertices[g.contact]) for g in self.groups])
+
+    def _by_group(self, contacts: Points) -> list[Points]:
         counts = [int(group.contact.sum()) for group in self.groups]
-        parts = np.split(anchors, np.cumsum(counts)[:-1])
+        return np.split(contacts, np.cumsum(counts)[:-1])
+
+    def _nearest(self, surfaces: Sequence[TriMesh], contacts: Points) -> tuple[Points, Points]:
+        """Nearest places on their own bones, and the normals there."""
         places, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
-        for surface, part in zip(surfaces, parts, strict=True):
+        for surface, part in zip(surfaces, self._by_group(contacts), strict=True):
             if len(part):
                 near = nearest_places(part, surface)
                 places.append(near.places)
                 normals.append(smooth_normals(surface, near))
         return np.concatenate(places), np.concatenate(normals)
+
+    def _half_way(self, normals: Points, *, start: float, end: float) -> Points:
+        """Normals at the end of a stretch, turned back to its middle with their bones."""
+        before, after = self.motions.at(start), self.motions.at(end)
+        turned = [np.zeros((0, 3))]
+        for group, part in zip(self.groups, self._by_group(normals), strict=True):
+            turn = Rotation.from_matrix(after[group.bones[0]].rotation @ before[group.bones[0]].rotation.T)
+            turned.append(Rotation.from_rotvec(-0.5 * turn.as_rotvec()).apply(part) if len(part) else part)
+        return np.concatenate(turned)
+
+
+def _exact_at(points: Points, moves: Points, field: CorrectedField) -> CorrectedField:
+    """The field with the least change of its local part that takes (m, 3) points by their moves exactly."""
+    for _ in range(EXACT_PASSES):
+        missed = moves - field.displacement(points)
+        if np.abs(missed).max(initial=0.0) <= EXACT_MM:
+            break
+        more = SolenoidalBackend(0.1 * EXACT_MM).fit(
+            points,
+            missed,
+            slip_normals=np.zeros((0, 3)),
+            on=field.local.levels,
+            iterations=EXACT_ITERATIONS,
+        )
+        field = CorrectedField(field.radial, field.local.plus(more))
+    return field
 
 
 def exposed_residuals(
@@ -242,6 +311,20 @@ def _group(anatomy: Anatomy, bones: Sequence[str], sampled_mm: float) -> RigidGr
     )
     surface = with_short_edges(surface, longest_mm=sampled_mm)
     return RigidGroup(tuple(bones), surface, np.zeros(len(surface.vertices), dtype=bool))
+
+
+def _graded(surface: TriMesh, around: Points, *, reach: float, longest_mm: float) -> TriMesh:
+    """The surface with no edge longer than a length where both ends are within reach of given points."""
+    while len(around):
+        edges = FaceEdges.of(surface.faces)
+        apart = np.asarray(cKDTree(around).query(surface.vertices, distance_upper_bound=reach)[0], dtype=np.float64)
+        near: Bool = apart < reach
+        ends = surface.vertices[edges.ends]
+        split = near[edges.ends].all(axis=1) & (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > longest_mm)
+        if not split.any():
+            break
+        surface = split_edges(surface, edges, split)
+    return surface
 
 
 def _closer(points: Points, surface: TriMesh, limit: float) -> Bool:

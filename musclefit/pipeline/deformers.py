@@ -38,7 +38,10 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 
 
 SAMPLED_MM = 3.0
-"""Longest edge of the bones' surfaces where the field is held to them."""
+"""Longest edge of the bones' surfaces where the field is held to them..."""
+
+CONTACT_SAMPLED_MM = 1.2
+"""... and in and around the contact zones."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -187,7 +190,13 @@ def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
     """The stepper that follows the bones, and the points to test at: the anatomy's, then those it holds."""
     assert job.motions is not None  # a rig with rigid bones is driven by joints
     bones = job.rig.bones
-    groups = rigid_groups(job.anatomy, job.motions, contact_zone_mm=bones.contact_zone_mm, sampled_mm=SAMPLED_MM)
+    groups = rigid_groups(
+        job.anatomy,
+        job.motions,
+        contact_zone_mm=bones.contact_zone_mm,
+        sampled_mm=SAMPLED_MM,
+        contact_sampled_mm=CONTACT_SAMPLED_MM,
+    )
     handles = _with_spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
     settings = job.rig.deformer
     stepper = BoneStepper(
@@ -195,7 +204,7 @@ def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
         groups=groups,
         motions=job.motions,
         exact=len(job.handles),
-        supports_mm=bones.supports_mm,
+        lattices_mm=bones.lattices_mm,
     )
     return stepper, np.vstack([points, stepper.held_points()])
 

@@ -304,7 +304,8 @@ class BoneSettings:
     """Whether bones are moved by their rigid motions and the field brought to agree with them, and how.
 
     ``handle_spacing_mm`` is how far apart the handles are that are spread over the bones beside the rig's landmarks.
-    ``supports_mm`` are the supports of the compact corrections, wide to narrow. Places of a bone that come closer than
+    ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones, ``supports_mm``
+    the supports of the compact corrections that hold kept ones, wide to narrow. Places of a bone that come closer than
     ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along the bone.
 
     Where no joint moves them, ``keep_rigid`` and ``keep_similar`` name bones (or shell-style patterns) that may only
@@ -314,11 +315,12 @@ class BoneSettings:
     Raises
     ------
     RigError
-        A length that is not positive and finite, supports that rise, or bones kept both ways.
+        A length that is not positive and finite, supports or spacings that rise, or bones kept both ways.
     """
 
     rigid: bool = False
     handle_spacing_mm: float = 12.0
+    lattices_mm: tuple[float, ...] = (6.0, 3.0, 1.5)
     supports_mm: tuple[float, ...] = (50.0, 20.0, 10.0)
     contact_zone_mm: float = 4.0
     keep_rigid: tuple[str, ...] = ()
@@ -331,13 +333,16 @@ class BoneSettings:
                 "remove them"
             )
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
-        for key, value in (*lengths.items(), *(("supports_mm", s) for s in self.supports_mm)):
+        widths = {"lattices_mm": self.lattices_mm, "supports_mm": self.supports_mm}
+        each = [(key, value) for key, values in widths.items() for value in values]
+        for key, value in (*lengths.items(), *each):
             if not 0.0 < value < math.inf:
                 raise RigError(f"bones.{key}: found {value}; expected a finite length above 0, in mm")
-        if any(b > a for a, b in pairwise(self.supports_mm)):
-            raise RigError(
-                f"bones.supports_mm: found {list(self.supports_mm)}; expected lengths that do not rise, in mm"
-            )
+        for key, values in widths.items():
+            if not values or any(b > a for a, b in pairwise(values)):
+                raise RigError(
+                    f"bones.{key}: found {list(values)}; expected one length or more, none above the one before, in mm"
+                )
 
 
 @dataclass(frozen=True, slots=True)

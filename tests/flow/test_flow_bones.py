@@ -59,7 +59,7 @@ ANATOMY = Anatomy(
     "test",
 )
 MOTIONS = Hinge(40.0)
-GROUPS = rigid_groups(ANATOMY, MOTIONS, contact_zone_mm=4.0, sampled_mm=3.0)
+GROUPS = rigid_groups(ANATOMY, MOTIONS, contact_zone_mm=4.0, sampled_mm=3.0, contact_sampled_mm=1.2)
 
 
 def on_the_rods() -> Handles:
@@ -78,7 +78,7 @@ def bent():
         groups=GROUPS,
         motions=MOTIONS,
         exact=5,
-        supports_mm=(30.0, 10.0),
+        lattices_mm=(6.0, 3.0, 1.5),
     )
     tested = np.vstack([ANATOMY.vertices(), stepper.held_points()])
     return stepper, path, march(stepper, rule=cayley_fractions, tested=tested, pace=Pace(50, 3)).require()

@@ -1,0 +1,118 @@
+"""Fields of two parts: a radial sum in all of space, and a local part without divergence that corrects it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from musclefit.fields.rbf import RadialField
+from musclefit.fields.solenoidal import SolenoidalField
+from musclefit.geometry.arrays import Bool, Float, Gradients, Points
+
+ROUNDING = 1e-13
+"""Of computed eigenvalues, in units of the sum of a matrix's entries."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CorrectedField:
+    """D(x) = radial(x) + local(x).
+
+    Parameters
+    ----------
+    radial : RadialField
+        In space.
+    local : SolenoidalField
+    """
+
+    radial: RadialField
+    local: SolenoidalField
+
+    def displacement(self, points: Points) -> Points:
+        """(N, 3) displacements at (N, 3) points, mm."""
+        values: Points = self.radial.displacement(points) + self.local.displacement(points)
+        return values
+
+    def gradient(self, points: Points) -> Gradients:
+        """(N, 3, 3) derivatives."""
+        return self.displacement_and_gradient(points)[1]
+
+    def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
+        """Both in one pass."""
+        values, gradients = self.radial.displacement_and_gradient(points)
+        more, steeper = self.local.displacement_and_gradient(points)
+        return values + more, gradients + steeper
+
+    def scaled(self, factor: float) -> Self:
+        """The field ``factor`` times as strong."""
+        return type(self)(self.radial.scaled(factor), self.local.scaled(factor))
+
+    def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+        """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
+        return self._with_local(*self.radial.gradient_bounds(centres, half_widths), centres, half_widths)
+
+    def gradient_ball_bounds(self, centres: Points, radii: Float) -> tuple[Gradients, Float]:
+        """As ``gradient_bounds``, over (B,) balls."""
+        half_widths = np.repeat(radii[:, None], centres.shape[1], axis=1)
+        return self._with_local(*self.radial.gradient_ball_bounds(centres, radii), centres, half_widths)
+
+    def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
+        """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.
+
+        As `RadialField.strain_bounds`, which judges the boxes that the local part does not touch.
+        """
+        touched = self.local.touched(centres, half_widths)
+        ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
+        if not touched.all():
+            free = self.radial.strain_bounds(centres[~touched], half_widths[~touched], enough=enough)
+            ranges[~touched], middles[~touched] = free
+        if touched.any():
+            gradients, radii = self.radial.gradient_bounds(centres[touched], half_widths[touched])
+            ranges[touched] = self._strain(gradients, radii, centres[touched], half_widths[touched])
+            there = self.gradient(centres[touched])
+            middles[touched] = np.linalg.eigvalsh(0.5 * (there + there.transpose(0, 2, 1)))[:, [0, -1]]
+        return ranges, middles
+
+    def strain_ball_bounds(self, centres: Points, radii: Float) -> tuple[Float, Float]:
+        """As ``strain_bounds``, over (B,) balls."""
+        half_widths = np.repeat(radii[:, None], centres.shape[1], axis=1)
+        touched = self.local.touched(centres, half_widths)
+        ranges, middles = np.empty((len(centres), 2)), np.full((len(centres), 2), np.nan)
+        if not touched.all():
+            ranges[~touched], middles[~touched] = self.radial.strain_ball_bounds(centres[~touched], radii[~touched])
+        if touched.any():
+            gradients, off = self.radial.gradient_ball_bounds(centres[touched], radii[touched])
+            ranges[touched] = self._strain(gradients, off, centres[touched], half_widths[touched])
+        return ranges, middles
+
+    def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
+        """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, n) each, mm."""
+        values, radii = self.radial.displacement_bounds(centres, half_widths)
+        gradients, off = self.local.bounds_with(np.zeros((len(centres), 3, 3)), centres, half_widths, strain=False)
+        steepest = (np.linalg.norm(gradients, axis=(1, 2)) + off[:, 0]) * (1.0 + 1e-14)
+        more = steepest * np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14) + self.local.displacement_rounding(
+            centres
+        )
+        local = self.local.displacement(centres)
+        # 1e-15: of the two sums.
+        rounding = 1e-15 * (np.abs(values) + np.abs(local) + radii)
+        return values + local, radii + more[:, None] + rounding
+
+    def _with_local(
+        self, gradients: Gradients, radii: Float, centres: Points, half_widths: Float
+    ) -> tuple[Gradients, Float]:
+        known: Bool = np.asarray(np.isfinite(gradients).all(axis=(1, 2)), dtype=np.bool_)
+        sums, found = self.local.bounds_with(
+            np.where(known[:, None, None], gradients, 0.0), centres, half_widths, strain=False
+        )
+        return sums, np.where(known, (found[:, 0] + radii) * (1.0 + 1e-15), np.inf)
+
+    def _strain(self, gradients: Gradients, radii: Float, centres: Points, half_widths: Float) -> Float:
+        known: Bool = np.asarray(np.isfinite(gradients).all(axis=(1, 2)) & np.isfinite(radii), dtype=np.bool_)
+        sums, found = self.local.bounds_with(
+            np.where(known[:, None, None], gradients, 0.0), centres, half_widths, strain=True
+        )
+        off = (np.where(known, radii, np.inf) + ROUNDING * np.abs(sums).sum(axis=(1, 2)))[:, None]
+        ranges: Float = np.concatenate([-found[:, :1] - off, found[:, 1:] + off], axis=1)
+        return ranges

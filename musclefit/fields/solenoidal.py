@@ -1,0 +1,185 @@
+"""Displacement fields that are curls of cubic B-spline vector potentials: without divergence, local, and cheap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from musclefit.errors import FieldError
+from musclefit.fields import potentials, solenoidal_bounds
+from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
+
+MAX_LATTICE_POINTS = 400_000_000
+"""Lattice points of one level at most, used or not; 1.6 GB."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PotentialLevel:
+    """Cubic B-splines of a vector potential at some points of a lattice.
+
+    Parameters
+    ----------
+    low : (3,) float64, mm
+        The first lattice point.
+    spacing_mm : float
+    numbers : (n0, n1, n2) int32
+        Row of each lattice point's coefficients, or -1.
+    coefficients : (K, 3) float64, mm²
+    """
+
+    low: Float
+    spacing_mm: float
+    numbers: NDArray[np.int32]
+    coefficients: Points
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "low", frozen(self.low))
+        object.__setattr__(self, "coefficients", frozen(self.coefficients))
+
+    @classmethod
+    def around(cls, points: Points, *, spacing_mm: float) -> Self:
+        """The lattice points whose splines are not zero at some of (N, 3) points, mm; all coefficients zero.
+
+        Raises
+        ------
+        FieldError
+            The lattice would be too large.
+        """
+        low = (np.floor(points.min(axis=0) / spacing_mm) - 1.0) * spacing_mm
+        counts = np.ceil((points.max(axis=0) - low) / spacing_mm) + 2.0
+        if not counts.prod() <= MAX_LATTICE_POINTS:
+            raise FieldError(
+                f"a lattice of {spacing_mm:.3g} mm around points that span {np.round(np.ptp(points, axis=0), 1)} mm "
+                f"would have {counts.prod():.3g} points, more than {MAX_LATTICE_POINTS:.3g}; widen the spacing"
+            )
+        seen = np.zeros(tuple(int(c) for c in counts), dtype=bool)
+        potentials.mark_seen(low, spacing_mm, points, seen)
+        numbers = np.where(seen, np.cumsum(seen.ravel(), dtype=np.int32).reshape(seen.shape) - 1, -1).astype(np.int32)
+        numbers.flags.writeable = False
+        return cls(low, spacing_mm, numbers, np.zeros((int(seen.sum()), 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class SolenoidalField:
+    r"""D(x) = curl sum over levels of sum_i B((x - x_i) / h) c_i, B the cubic B-spline and c_i vectors.
+
+    Parameters
+    ----------
+    levels : tuple of PotentialLevel
+    """
+
+    levels: tuple[PotentialLevel, ...]
+
+    def displacement(self, points: Points) -> Points:
+        """(N, 3) displacements at (N, 3) points, mm."""
+        where = _accepted(points)
+        values = np.zeros_like(where)
+        for level in self.levels:
+            potentials.curl_sum(level.low, level.spacing_mm, level.numbers, level.coefficients, where, values)
+        return values
+
+    def gradient(self, points: Points) -> Gradients:
+        """(N, 3, 3) derivatives; their traces are zero but for rounding."""
+        return self.displacement_and_gradient(points)[1]
+
+    def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
+        """Both in one pass."""
+        where = _accepted(points)
+        values, gradients = np.zeros_like(where), np.zeros((len(where), 3, 3))
+        for level in self.levels:
+            potentials.curl_sum_with_gradient(
+                level.low, level.spacing_mm, level.numbers, level.coefficients, where, values, gradients
+            )
+        return values, gradients
+
+    def scaled(self, factor: float) -> Self:
+        """The field ``factor`` times as strong."""
+        levels = tuple(replace(level, coefficients=factor * level.coefficients) for level in self.levels)
+        return replace(self, levels=levels)
+
+    def plus(self, other: Self) -> Self:
+        """The sum of two fields on the same lattices.
+
+        Raises
+        ------
+        FieldError
+            Their lattices differ.
+        """
+        pairs = list(zip(self.levels, other.levels, strict=False))
+        if len(self.levels) != len(other.levels) or any(a.numbers is not b.numbers for a, b in pairs):
+            raise FieldError("fields on different lattices cannot be added; fit both on the same ones")
+        return replace(self, levels=tuple(replace(a, coefficients=a.coefficients + b.coefficients) for a, b in pairs))
+
+    def touched(self, centres: Points, half_widths: Float) -> Bool:
+        """(B,) boxes, of centres and half widths (B, 3) mm, in which the field may be other than zero."""
+        found = np.zeros(len(centres), dtype=bool)
+        solenoidal_bounds.touched_boxes(*self._lattices, centres, half_widths, found)
+        return found
+
+    def bounds_with(
+        self, gradients: Gradients, centres: Points, half_widths: Float, *, strain: bool
+    ) -> tuple[Gradients, Float]:
+        """Proved bounds over boxes of the gradient plus a given matrix for each box.
+
+        Parameters
+        ----------
+        gradients : (B, 3, 3) float64
+            The matrices.
+        centres, half_widths : (B, 3) float64, mm
+        strain : bool
+            What is bounded: eigenvalues of the symmetric part, or the distance from the sum at the box's centre.
+
+        Returns
+        -------
+        (B, 3, 3)
+            The sums at the centres.
+        (B, 2)
+            Minus the lowest and plus the highest eigenvalue; or the proved radius in the spectral norm, and what of
+            it is rounding at the centre.
+        """
+        where = _accepted(centres)
+        half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
+        if not (half_widths >= 0.0).all():
+            raise FieldError("a box has a negative half width; give half widths of at least 0 mm")
+        sums, found = np.empty((len(where), 3, 3)), np.empty((len(where), 2))
+        solenoidal_bounds.box_bounds(
+            *self._lattices, np.ascontiguousarray(gradients), where, half_widths, strain, sums, found
+        )
+        return sums, found
+
+    def displacement_rounding(self, centres: Points) -> Float:
+        """(B,) how far, in every component, computed displacements at points may be off, mm."""
+        reach = np.abs(centres).max(axis=1, initial=0.0)
+        off = np.zeros(len(centres))
+        for level in self.levels:
+            largest = float(np.abs(level.coefficients).max(initial=0.0))
+            h, corner = level.spacing_mm, float(np.abs(level.low).max())
+            # 64 terms of two derivatives, whose weights sum to at most 2 / h; and places, by second derivatives.
+            off += 1e-13 * largest / h * (1.0 + (reach + corner) / h)
+        return off
+
+    @cached_property
+    def _lattices(self) -> tuple[Float, Float, Int, NDArray[np.int32], Points]:
+        """All levels as `solenoidal_bounds` takes them."""
+        offsets = np.cumsum([0, *(len(level.coefficients) for level in self.levels)])
+        numbers = [
+            np.where(level.numbers < 0, -1, level.numbers + offset).ravel()
+            for level, offset in zip(self.levels, offsets, strict=False)
+        ]
+        return (
+            np.array([level.low for level in self.levels]).reshape(-1, 3),
+            np.array([level.spacing_mm for level in self.levels], dtype=np.float64),
+            np.array([level.numbers.shape for level in self.levels], dtype=np.int64).reshape(-1, 3),
+            np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32),
+            np.concatenate([np.zeros((0, 3)), *(level.coefficients for level in self.levels)]),
+        )
+
+
+def _accepted(points: Points) -> Points:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise FieldError(f"points have shape {points.shape}; this field needs (N, 3)")
+    return np.ascontiguousarray(points, dtype=np.float64)

@@ -1,0 +1,326 @@
+r"""Proved bounds of the gradients of curls of B-spline potentials over boxes, by the convex hull property.
+
+D_i = eps_iab d_a Q_b, so the gradient's entry (i, k) is a signed sum of second derivatives of the potential, whose
+B-spline coefficients are second differences over the spacing squared. As in `ffd_bounds` a box is cut at the knots of
+all levels; inserting knots at the faces of such a part and raising degrees brings all entries and all levels into one
+cubic Bernstein basis, and norms and largest eigenvalues, being convex, are largest at its coefficients. Each box comes
+with a matrix that is added to the gradient everywhere: that of another field, whose own radius the caller adds.
+
+Boxes with more than `MAX_PARTS` parts are bounded by the second differences themselves, which is coarser.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from musclefit.fields.bernstein import along_first, along_second, along_third, derivative_matrix, value_matrix
+from musclefit.fields.eigenvalues import floor_of, norm_ceiling, widen_by_hull
+
+MAX_PARTS = 27
+"""A box that is cut into more parts than this by the knots gets the coarse bound."""
+
+MAX_KNOTS = 128
+"""Knots along one axis that are told apart; more make the box coarse too."""
+
+ROUNDING = 1e-12
+"""Proved rounding of one entry of a gradient, in units of the largest coefficient over the spacing squared (fewer than
+500 operations of 1.2e-16 each on second differences of at most 4 such units, twice); and, times coordinates over the
+spacing, of its places (8 operations, each of which moves a third derivative of at most 8 such units per spacing,
+twice).
+"""
+
+
+@njit(cache=True)
+def _level(shapes, numbers_of, coefficients_of, level):
+    """One level's numbers (n0, n1, n2), and the coefficients that they count in."""
+    start = 0
+    for before in range(level):
+        start += shapes[before, 0] * shapes[before, 1] * shapes[before, 2]
+    n0, n1, n2 = shapes[level]
+    return numbers_of[start : start + n0 * n1 * n2].reshape(n0, n1, n2), coefficients_of
+
+
+@njit(cache=True)
+def _curvature_matrix(t0, t1, h, out):
+    """(4, 4): cubic Bernstein coefficients over [t0, t1] of the second derivative, from the spline's coefficients."""
+    for row in range(4):
+        t = t0 + (t1 - t0) * row / 3.0
+        s = 1.0 - t
+        out[row, 0], out[row, 1] = s / (h * h), (t - 2.0 * s) / (h * h)
+        out[row, 2], out[row, 3] = (s - 2.0 * t) / (h * h), t / (h * h)
+
+
+@njit(cache=True)
+def _block(numbers, coefficients, cell, block):
+    """Copy the coefficients that a cell sees to ``block`` (3, 64), 0 where there are none; gives the largest."""
+    largest = 0.0
+    block[:, :] = 0.0
+    for i in range(4):
+        for j in range(4):
+            for k in range(4):
+                p, q, r = cell[0] - 1 + i, cell[1] - 1 + j, cell[2] - 1 + k
+                if 0 <= p < numbers.shape[0] and 0 <= q < numbers.shape[1] and 0 <= r < numbers.shape[2]:
+                    row = numbers[p, q, r]
+                    if row >= 0:
+                        for c in range(3):
+                            block[c, 16 * i + 4 * j + k] = coefficients[row, c]
+                            largest = max(largest, abs(coefficients[row, c]))
+    return largest
+
+
+@njit(cache=True)
+def _add_curl(b, x, y, z, column, hull):
+    """Add the derivative x, y, z times along the axes of the potential's component b to the curl's gradient."""
+    orders = (x, y, z)
+    for turn in range(2):
+        a = (b + 2 + 2 * turn) % 3  # the derivative that the curl takes
+        i = (b + 1 + turn) % 3  # the curl's component
+        sign = 1.0 - 2.0 * turn
+        if orders[a] == 0:
+            continue
+        k = a  # the gradient's axis: what is left
+        for axis in range(3):
+            if orders[axis] - int(axis == a) > 0:
+                k = axis
+        for lane in range(64):
+            hull[3 * i + k, lane] += sign * column[lane]
+
+
+@njit(cache=True)
+def _add_level(low, h, numbers, coefficients, a0, a1, hull, work):
+    """Add one level over a0..a1, mm, within one of its cells, to the Bernstein coefficients; gives its rounding."""
+    block, once, twice, column, matrices, cell = work
+    reach = 0.0
+    for axis in range(3):
+        u = (0.5 * (a0[axis] + a1[axis]) - low[axis]) / h
+        if not -2.5 < u < numbers.shape[axis] + 1.5:
+            return 0.0
+        cell[axis] = int(np.floor(u))
+        reach = max(reach, abs(a0[axis]), abs(a1[axis]), abs(low[axis]))
+    largest = _block(numbers, coefficients, cell, block)
+    if largest == 0.0:
+        return 0.0
+    for axis in range(3):
+        t0 = min(max((a0[axis] - low[axis]) / h - cell[axis], 0.0), 1.0)
+        t1 = min(max((a1[axis] - low[axis]) / h - cell[axis], t0), 1.0)
+        value_matrix(t0, t1, matrices[0, axis])
+        derivative_matrix(t0, t1, h, matrices[1, axis])
+        _curvature_matrix(t0, t1, h, matrices[2, axis])
+    for b in range(3):
+        for x in range(3):
+            along_first(matrices[x, 0], block[b], once)
+            for y in range(3 - x):
+                z = 2 - x - y
+                along_second(matrices[y, 1], once, twice)
+                along_third(matrices[z, 2], twice, column)
+                _add_curl(b, x, y, z, column, hull)
+    return ROUNDING * largest / (h * h) * (1.0 + 2.0 * reach / h)
+
+
+@njit(cache=True)
+def _knots(lows, spacings, shapes, axis, low, high, found):
+    """Write low, the knots of all levels between, and high to ``found``; gives how many, or -1 when too many."""
+    found[0] = low
+    count = 1
+    for level in range(len(spacings)):
+        corner, h, points = lows[level, axis], spacings[level], shapes[level, axis]
+        first = max(int(np.floor(max((low - corner) / h, -3.0))), -2)
+        last = min(int(np.ceil(min((high - corner) / h, points + 3.0))), points + 1)
+        if last - first > MAX_KNOTS:
+            return -1
+        for k in range(first, last + 1):
+            place = corner + k * h
+            if low < place < high:
+                if count + 1 >= len(found):
+                    return -1
+                found[count] = place
+                count += 1
+    found[count] = high
+    found[: count + 1].sort()
+    kept = 1
+    for k in range(1, count + 1):  # levels share knots
+        if found[k] > found[kept - 1]:
+            found[kept] = found[k]
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def _touches(low, h, numbers, a0, a1):
+    """True when some spline of the level is not zero somewhere in a box."""
+    ranges = np.zeros((3, 2), np.int64)
+    for axis in range(3):
+        ranges[axis, 0] = max(int(np.floor(max((a0[axis] - low[axis]) / h, -9.0))) - 2, 0)
+        ranges[axis, 1] = min(
+            int(np.floor(min((a1[axis] - low[axis]) / h, numbers.shape[axis] + 9.0))) + 4, numbers.shape[axis]
+        )
+    for i in range(ranges[0, 0], ranges[0, 1]):
+        for j in range(ranges[1, 0], ranges[1, 1]):
+            for k in range(ranges[2, 0], ranges[2, 1]):
+                if numbers[i, j, k] >= 0:
+                    return True
+    return False
+
+
+@njit(cache=True)
+def _row(numbers, i, j, k):
+    if 0 <= i < numbers.shape[0] and 0 <= j < numbers.shape[1] and 0 <= k < numbers.shape[2]:
+        return numbers[i, j, k]
+    return -1
+
+
+@njit(cache=True)
+def _coarse_radius(low, h, numbers, coefficients, a0, a1):
+    """Bound of the norm of one level's gradient over a box, from second differences."""
+    ranges, largest = np.zeros((3, 2), np.int64), 0.0
+    for axis in range(3):
+        ranges[axis, 0] = max(int(np.floor(max((a0[axis] - low[axis]) / h, -9.0))) - 2, -2)
+        ranges[axis, 1] = min(
+            int(np.floor(min((a1[axis] - low[axis]) / h, numbers.shape[axis] + 9.0))) + 4, numbers.shape[axis]
+        )
+    worst, da, dk = np.zeros((3, 3, 3)), np.zeros(3, np.int64), np.zeros(3, np.int64)  # [component, axis, axis]
+    for a in range(3):
+        for k in range(a, 3):
+            da[:], dk[:] = 0, 0
+            da[a], dk[k] = 1, 1
+            for x in range(ranges[0, 0], ranges[0, 1]):
+                for y in range(ranges[1, 0], ranges[1, 1]):
+                    for z in range(ranges[2, 0], ranges[2, 1]):
+                        here = _row(numbers, x, y, z)
+                        one = _row(numbers, x + da[0], y + da[1], z + da[2])
+                        other = _row(numbers, x + dk[0], y + dk[1], z + dk[2])
+                        both = _row(numbers, x + da[0] + dk[0], y + da[1] + dk[1], z + da[2] + dk[2])
+                        if here < 0 and one < 0 and other < 0 and both < 0:
+                            continue
+                        for b in range(3):
+                            value = 0.0
+                            if here >= 0:
+                                value += coefficients[here, b]
+                                largest = max(largest, abs(coefficients[here, b]))
+                            if both >= 0:
+                                value += coefficients[both, b]
+                                largest = max(largest, abs(coefficients[both, b]))
+                            if one >= 0:
+                                value -= coefficients[one, b]
+                                largest = max(largest, abs(coefficients[one, b]))
+                            if other >= 0:
+                                value -= coefficients[other, b]
+                                largest = max(largest, abs(coefficients[other, b]))
+                            worst[b, a, k] = max(worst[b, a, k], abs(value))
+                            worst[b, k, a] = worst[b, a, k]
+    square = 0.0
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for k in range(3):
+            entry = (worst[b, a, k] + worst[a, b, k]) / (h * h)
+            square += entry * entry
+    return np.sqrt(square) * (1.0 + 1e-13) + 3.0 * ROUNDING * largest / (h * h)
+
+
+@njit(cache=True)
+def _fill(hull, matrix):
+    for row in range(9):
+        hull[row, :] = matrix[row // 3, row % 3]
+
+
+@njit(cache=True)
+def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centre, half, strain, gradient, found):
+    """One box: writes the gradient at its centre, and the radius or the range of eigenvalues."""
+    work = (
+        np.zeros((3, 64)),
+        np.zeros(64),
+        np.zeros(64),
+        np.zeros(64),
+        np.zeros((3, 3, 4, 4)),
+        np.zeros(3, np.int64),
+    )
+    low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
+    hull, parts, rounding = np.zeros((9, 64)), 1, 0.0
+    for axis in range(3):
+        slack = 1e-15 * (abs(centre[axis]) + half[axis])
+        low[axis], high[axis] = centre[axis] - half[axis] - slack, centre[axis] + half[axis] + slack
+    # The gradient at the centre: a part of no size, all of whose coefficients are its value.
+    _fill(hull, added)
+    for level in range(len(spacings)):
+        numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
+        rounding += _add_level(lows[level], spacings[level], numbers, coefficients, centre, centre, hull, work)
+    for row in range(9):
+        gradient[row // 3, row % 3] = hull[row, 0]
+    size = 0.0
+    for i in range(3):
+        for k in range(3):
+            size = max(size, abs(added[i, k]))
+    rounding += 1e-15 * size
+    own = 3.0 * rounding
+    for axis in range(3):
+        counts[axis] = _knots(lows, spacings, shapes, axis, low[axis], high[axis], knots[axis]) - 1
+        parts *= max(counts[axis], 0)
+    best, clear = np.full(2, -np.inf), np.zeros(64, np.bool_)
+    if parts < 1 or parts > MAX_PARTS:
+        radius = norm_ceiling(gradient - added)
+        for level in range(len(spacings)):
+            numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
+            radius += _coarse_radius(lows[level], spacings[level], numbers, coefficients, low, high)
+        best[:] = radius
+        if strain:
+            best[0], best[1] = radius - floor_of(gradient, 3, 1.0), radius - floor_of(gradient, 3, -1.0)
+        worst = own
+    else:
+        a, b, worst = np.zeros(3), np.zeros(3), own
+        for part in range(parts):
+            rest = part
+            for axis in range(3):
+                a[axis], b[axis] = knots[axis, rest % counts[axis]], knots[axis, rest % counts[axis] + 1]
+                rest //= counts[axis]
+            _fill(hull, added)
+            rounding = 1e-15 * size
+            for level in range(len(spacings)):
+                numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
+                rounding += _add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
+            worst = max(worst, own + 3.0 * rounding)
+            widen_by_hull(hull, 3, gradient, strain, best, work[3], clear)
+    if strain:
+        found[0], found[1] = best[0] + worst, best[1] + worst
+    else:
+        found[0], found[1] = max(best[0], 0.0) + worst, own
+
+
+@njit(parallel=True, cache=True)
+def box_bounds(
+    lows, spacings, shapes, numbers_of, coefficients_of, added, centres, half_widths, strain, gradients, found
+):
+    """Bound the gradient or the strain of all levels, plus a matrix for each box, over boxes.
+
+    ``numbers_of`` and ``coefficients_of`` hold all levels one after the other, the numbers counted through; ``added``
+    is (B, 3, 3). Writes the gradients at the centres (B, 3, 3), and (B, 2): proved radius and the rounding at the
+    centre, or minus the lowest and plus the highest eigenvalue.
+    """
+    for box in prange(len(centres)):
+        _bound_box(
+            lows,
+            spacings,
+            shapes,
+            numbers_of,
+            coefficients_of,
+            added[box],
+            centres[box],
+            half_widths[box],
+            strain,
+            gradients[box],
+            found[box],
+        )
+
+
+@njit(parallel=True, cache=True)
+def touched_boxes(lows, spacings, shapes, numbers_of, coefficients_of, centres, half_widths, found):
+    """Write to ``found`` (B,) in which boxes some spline is not zero."""
+    for box in prange(len(centres)):
+        low, high = np.zeros(3), np.zeros(3)
+        for axis in range(3):
+            slack = 1e-15 * (abs(centres[box, axis]) + half_widths[box, axis])
+            low[axis] = centres[box, axis] - half_widths[box, axis] - slack
+            high[axis] = centres[box, axis] + half_widths[box, axis] + slack
+        for level in range(len(spacings)):
+            numbers, _ = _level(shapes, numbers_of, coefficients_of, level)
+            found[box] = found[box] or _touches(lows[level], spacings[level], numbers, low, high)

@@ -1,0 +1,134 @@
+"""Curls of spline potentials: no divergence, derivatives, fits with slip, and proved bounds that nothing escapes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from musclefit.errors import FieldError
+from musclefit.fields.corrected import CorrectedField
+from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
+from musclefit.fields.solenoidal_fit import SolenoidalBackend
+
+
+def some_field(seed: int = 0, spacings: tuple[float, ...] = (8.0, 4.0, 2.0)) -> SolenoidalField:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-10.0, 10.0, (40, 3)) * [1.0, 1.0, 0.2]
+    levels = [PotentialLevel.around(points, spacing_mm=h) for h in spacings]
+    return SolenoidalField(
+        tuple(
+            replace(level, coefficients=0.3 * level.spacing_mm * rng.normal(size=level.coefficients.shape))
+            for level in levels
+        )
+    )
+
+
+def some_sum(seed: int = 0) -> CorrectedField:
+    rng = np.random.default_rng(seed)
+    radial = RadialBackend("isochoric-r3").fit(rng.uniform(-30.0, 30.0, (20, 3)), rng.normal(size=(20, 3)))
+    return CorrectedField(radial, some_field(seed))
+
+
+def test_gradients_are_the_derivatives_and_have_no_trace():
+    field = some_field()
+    at = np.random.default_rng(1).uniform(-14.0, 14.0, (300, 3))
+    step = 1e-5
+    differences = [
+        (field.displacement(at + step * e) - field.displacement(at - step * e)) / (2.0 * step) for e in np.eye(3)
+    ]
+    values, gradients = field.displacement_and_gradient(at)
+    np.testing.assert_allclose(gradients, np.stack(differences, axis=2), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.trace(gradients, axis1=1, axis2=2), 0.0, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(values, field.displacement(at))
+    assert np.abs(gradients).max() > 0.1
+
+
+def test_beyond_its_lattices_it_is_zero():
+    away = np.array([[60.0, 0.0, 0.0], [0.0, -60.0, 0.0], [0.0, 0.0, 1e6]])
+    np.testing.assert_array_equal(some_field().displacement(away), 0.0)
+
+
+def test_sums_need_the_same_lattices():
+    field = some_field()
+    at = np.random.default_rng(1).uniform(-14.0, 14.0, (50, 3))
+    np.testing.assert_allclose(
+        field.plus(field.scaled(2.0)).displacement(at), 3.0 * field.displacement(at), rtol=0, atol=1e-13
+    )
+    with pytest.raises(FieldError, match="different lattices"):
+        field.plus(some_field(1))
+
+
+def test_a_fit_meets_what_a_field_without_divergence_does_on_a_surface():
+    rng = np.random.default_rng(3)
+    at = rng.normal(size=(1500, 3))
+    at *= 15.0 / np.linalg.norm(at, axis=1, keepdims=True)
+    wanted = np.cross([0.0, 0.03, 0.1], at) + np.stack(
+        [np.sin(at[:, 1] / 6.0), np.cos(at[:, 2] / 7.0), 0.0 * at[:, 0]], axis=1
+    )
+    backend = SolenoidalBackend(1e-4)
+    rest = backend.at_rest(at, spacings_mm=(8.0, 4.0, 2.0))
+    errors = []
+    for iterations in (5, 60):
+        fit = backend.fit(at, wanted, slip_normals=np.zeros((0, 3)), on=rest.levels, iterations=iterations)
+        errors.append(np.linalg.norm(fit.displacement(at) - wanted, axis=1).max())
+    assert errors[1] < 0.01
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_at_slip_points_only_the_normal_part_is_held():
+    rng = np.random.default_rng(4)
+    at = 9.0 * np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3)[:120] + rng.uniform(
+        0.0, 2.0, (120, 3)
+    )
+    wanted = rng.normal(size=(120, 3))
+    normals = rng.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    backend = SolenoidalBackend(1e-9)
+    rest = backend.at_rest(at, spacings_mm=(6.0, 3.0))
+    field = backend.fit(at, wanted, slip_normals=normals, on=rest.levels, iterations=200)
+    missed = field.displacement(at) - wanted
+    np.testing.assert_allclose(missed[:80], 0.0, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(np.einsum("si,si->s", missed[80:], normals), 0.0, rtol=0, atol=1e-3)
+    assert np.abs(missed[80:]).max() > 0.3
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.5, 3.0, 8.0])
+def test_nothing_escapes_the_bounds_over_boxes(scale):
+    field = some_sum()
+    rng = np.random.default_rng(int(scale * 1000))
+    centres, halves = rng.uniform(-20.0, 20.0, (150, 3)), scale * rng.uniform(0.1, 1.0, (150, 3))
+    gradients, radii = field.gradient_bounds(centres, halves)
+    ranges, _ = field.strain_bounds(centres, halves, enough=(-np.inf, np.inf))
+    values, off = field.displacement_bounds(centres, halves)
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3)
+    tight = []
+    for box in range(len(centres)):
+        inside = np.vstack([corners, rng.uniform(-1.0, 1.0, (120, 3))])
+        moved, slopes = field.displacement_and_gradient(centres[box] + halves[box] * inside)
+        apart = np.linalg.norm(slopes - gradients[box], ord=2, axis=(1, 2)).max()
+        strains = np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))
+        assert apart <= radii[box]
+        assert ranges[box, 0] <= strains.min()
+        assert strains.max() <= ranges[box, 1]
+        assert (np.abs(moved - values[box]) <= off[box]).all()
+        tight.append(np.ptp(strains) / np.ptp(ranges[box]))
+    assert np.mean(tight) > {1e-3: 0.9, 0.5: 0.7, 3.0: 0.3, 8.0: 0.01}[scale]
+
+
+def test_nothing_escapes_the_bounds_over_balls():
+    field = some_sum(1)
+    rng = np.random.default_rng(5)
+    centres, radii = rng.uniform(-20.0, 20.0, (100, 3)), rng.uniform(0.01, 4.0, 100)
+    gradients, off = field.gradient_ball_bounds(centres, radii)
+    ranges, _ = field.strain_ball_bounds(centres, radii)
+    for ball in range(len(centres)):
+        ways = rng.normal(size=(100, 3))
+        ways *= radii[ball] / np.linalg.norm(ways, axis=1, keepdims=True)
+        slopes = field.gradient(centres[ball] + ways * rng.uniform(0.0, 1.0, (100, 1)))
+        strains = np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))
+        assert np.linalg.norm(slopes - gradients[ball], ord=2, axis=(1, 2)).max() <= off[ball]
+        assert ranges[ball, 0] <= strains.min()
+        assert strains.max() <= ranges[ball, 1]

@@ -18,6 +18,7 @@ from musclefit.rig.job import Job, path_by_joints
 from musclefit.rig.joints import JointSystem
 from musclefit.rig.model import JointDrive
 from musclefit.rig.motion import Pose
+from musclefit.rig.paths import motions_of
 from musclefit.validate.bones import BoneCollision, first_collision
 from musclefit.validate.muscles import MuscleMeasures, measure_muscles, muscle_sections
 from musclefit.validate.overlaps import SolidAnatomy, solid_anatomy
@@ -119,7 +120,7 @@ def frames(job: Job, poses: Sequence[Pose], *, progress: Progress | None = None)
 
 
 def posed_job(job: Job, pose: Pose) -> Job:
-    """The same job sent to another pose.
+    """The same job sent to another pose; keyframes on the way to the rig's own pose are left out.
 
     Raises
     ------
@@ -128,21 +129,25 @@ def posed_job(job: Job, pose: Pose) -> Job:
     """
     if job.joints is None or not isinstance(job.rig.drive, JointDrive):
         raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
-    motions = job.joints.along(pose.angles)
+    drive = replace(job.rig.drive, pose=pose.degrees, keyframes=())
+    motions = motions_of(drive, job.joints, kind=job.rig.deformer.path)
     return replace(
         job,
-        rig=replace(job.rig, drive=replace(job.rig.drive, pose=pose.degrees)),
+        rig=replace(job.rig, drive=drive),
         motions=motions,
         path=path_by_joints(job.handles, motions, kind=job.rig.deformer.path),
+        stops=(),
     )
 
 
 def collision_on_the_way(job: Job, pose: Pose) -> BoneCollision | None:
-    """The first bones that run into each other between rest and the pose, tested every ``COLLISION_DEG``."""
+    """Bones that run into each other in the pose, else the first that do on the way there, every ``COLLISION_DEG``."""
     assert job.motions is not None  # a posed job is driven by joints
     count = max(1, math.ceil(max(abs(angle) for _, angle in pose.degrees) / COLLISION_DEG))
-    fractions = [k / count for k in range(1, count + 1)]
-    return first_collision(job.anatomy, [(at, job.motions.at(at)) for at in fractions])
+    there = first_collision(job.anatomy, [(1.0, job.motions.at(1.0))])
+    if there is not None or count == 1:
+        return there
+    return first_collision(job.anatomy, [(k / count, job.motions.at(k / count)) for k in range(1, count)])
 
 
 def collision_in_words(found: BoneCollision, pose: Pose) -> str:

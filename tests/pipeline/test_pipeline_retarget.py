@@ -14,6 +14,7 @@ import pytest
 from tiny_rigs import BEND_DEG, LANDMARKS, TISSUES, drive_by_joints, exchanged_rows, write_landmarks, write_tiny_rig
 
 import musclefit
+from musclefit.certify.meshes import certify_mesh
 from musclefit.errors import NotConvergedError
 from musclefit.figures.stills import Stills
 from musclefit.flow.deformation import Status
@@ -89,13 +90,20 @@ def assert_measured_again(said: dict[str, Any], outcome: Outcome, result: Retarg
         assert tissue["rest_volume_mm3"] == pytest.approx(rest, rel=1e-12)
         assert tissue["volume_mm3"] == pytest.approx(after, rel=1e-12)
         assert tissue["volume_change_percent"] == pytest.approx(100 * (after - rest) / rest, rel=1e-9, abs=1e-9)
-    assert result.tets is not None
+    assert outcome.tets is not None
     assert outcome.tet_vertices is not None
-    np.testing.assert_allclose(outcome.tet_vertices, outcome.deformation(result.tets.mesh.vertices), rtol=0, atol=1e-12)
-    corners = outcome.tet_vertices[result.tets.mesh.tets]
+    np.testing.assert_allclose(
+        outcome.tet_vertices, outcome.deformation(outcome.tets.mesh.vertices), rtol=0, atol=1e-12
+    )
+    corners = outcome.tet_vertices[outcome.tets.mesh.tets]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
     assert said["mesh"]["tets"] == len(volumes)
     assert said["mesh"]["inverted"] == (volumes <= 0).sum() == 0
+    assert (
+        said["mesh"]["claim"]
+        == certify_mesh(outcome.tets.mesh.with_vertices(outcome.tet_vertices)).claim
+        == "certified"
+    )
 
 
 def test_two_runs_give_the_same_numbers(rig: Path) -> None:

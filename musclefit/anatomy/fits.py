@@ -45,6 +45,9 @@ class TissueFit:
         The other way: of the given surface from the tets'.
     pieces, surface_pieces : int or None
         Into how many the tets inside the surface fall, joined by faces, and the surface itself; None for the filler.
+    alone : int
+        Tets whose barycentre is inside the surface, but that no face joins to another such: they were left to the
+        tissue that comes next.
     """
 
     name: str
@@ -58,6 +61,7 @@ class TissueFit:
     missed_mm: float | None = None
     pieces: int | None = None
     surface_pieces: int | None = None
+    alone: int = 0
 
     @property
     def volume_error_percent(self) -> float | None:
@@ -95,6 +99,22 @@ def surface_distances(given: TriMesh, vertices: Points, faces: TetFaces, *, insi
     used = np.unique(triangles)
     filled = TriMesh(vertices[used], np.searchsorted(used, triangles))
     return _largest(filled, given), _largest(given, filled)
+
+
+def joined(faces: TetFaces, *, inside: Bool) -> Bool:
+    """Those of some tets that share a face with another of them; all, where none does.
+
+    Parameters
+    ----------
+    faces : TetFaces
+        Of the whole mesh.
+    inside : (k,) bool
+        The tets.
+    """
+    pairs = faces.tets[faces.tets[:, 1] >= 0]
+    found = np.zeros(len(inside), dtype=bool)
+    found[pairs[inside[pairs].all(axis=1)]] = True
+    return found if found.any() else inside
 
 
 def pieces_of_tets(faces: TetFaces, *, inside: Bool) -> int:

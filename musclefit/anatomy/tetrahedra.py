@@ -6,13 +6,20 @@ inverts and the mesh's boundary does not cross itself, no two tissues can inters
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.fits import TissueFit, fit_findings, pieces_of_surface, pieces_of_tets, surface_distances
+from musclefit.anatomy.fits import (
+    TissueFit,
+    fit_findings,
+    joined,
+    pieces_of_surface,
+    pieces_of_tets,
+    surface_distances,
+)
 from musclefit.anatomy.layers import FILLER, LayerRules, diagonal_mm
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
@@ -20,7 +27,7 @@ from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points, Tets, fro
 from musclefit.geometry.meshes import TetMesh
 from musclefit.geometry.orientation import orientations
 from musclefit.geometry.sizing import SizingField
-from musclefit.geometry.tet_topology import tet_faces
+from musclefit.geometry.tet_topology import TetFaces, tet_faces
 from musclefit.geometry.volumes import enclosed_volume, signed_volumes
 from musclefit.geometry.winding import winding_numbers
 from musclefit.progress import Progress, Tick
@@ -137,7 +144,9 @@ def tetrahedralise_with(
     Returns
     -------
     TetAnatomy
-        A tet belongs to the first tissue, in the order of ``rules.priority``, that winds around its barycentre.
+        A tet belongs to the first tissue, in the order of ``rules.priority``, that winds around its barycentre and
+        around that of a neighbour: one that no face joins to others of a tissue is cut by its surface, and is left to
+        the next (counted in ``fits``).
 
     Raises
     ------
@@ -173,17 +182,23 @@ def _labelled(
     barycentres, volumes = vertices[tets].mean(axis=1), signed_volumes(vertices, tets)
     labels = np.full(len(tets), -1, dtype=np.int64)
     inside: dict[int, Bool] = {}
+    faces = tet_faces(tets)
+    alone: dict[int, int] = {}
     for done, index in enumerate(reversed(rules.innermost_first(anatomy)), start=1):
-        inside[index] = _inside(anatomy.tissues[index], barycentres)
+        found = _inside(anatomy.tissues[index], barycentres)
+        inside[index] = joined(faces, inside=found)
+        alone[index] = int(found.sum() - inside[index].sum())
         labels[inside[index]] = index
         tick(0.3 * done / len(anatomy))
     kept = labels >= 0
+    names = {tissue.name: index for index, tissue in enumerate(anatomy)}
     if not kept.any():
         raise MeshError(
             f"none of the {len(tets)} tets lies inside a tissue; the surfaces are open or inside out, or thinner than "
             f"the envelope ({rules.smallest_envelope(anatomy):.3g} of the bounding box's diagonal)"
         )
-    fits = _fits(anatomy, vertices, tets, labels=labels, volumes=volumes, inside=inside, rules=rules, tick=tick)
+    fits = _fits(anatomy, vertices, faces, labels=labels, volumes=volumes, inside=inside, rules=rules, tick=tick)
+    fits = tuple(replace(f, alone=alone[names[f.name]]) if f.name in names else f for f in fits)
     used = np.unique(tets[kept])
     return TetAnatomy(
         anatomy=anatomy,
@@ -199,7 +214,7 @@ def _labelled(
 def _fits(
     anatomy: Anatomy,
     vertices: Points,
-    tets: Tets,
+    faces: TetFaces,
     *,
     labels: Int,
     volumes: Float,
@@ -208,7 +223,7 @@ def _fits(
     tick: Tick,
 ) -> tuple[TissueFit, ...]:
     """The skin first, then the filler, then the other tissues in their order."""
-    faces, diagonal = tet_faces(tets), diagonal_mm(anatomy)
+    diagonal = diagonal_mm(anatomy)
     found = []
     for index, tissue in enumerate(anatomy):
         own = labels == index

@@ -34,6 +34,7 @@ def main(arguments: Sequence[str]) -> None:
         simplify=False,  # well-shaped triangles are mostly Delaunay already; simplified ones cut tets to shreds
         num_opt_iter=int(passes),
         stop_energy=float.fromhex(stop_energy),
+        disable_filtering=True,  # its own test of what lies inside now and then drops a tet deep in the mesh
         quiet=False,
         loglevel=6,
         **sizing,

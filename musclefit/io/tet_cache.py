@@ -42,7 +42,7 @@ ABANDONED_S = 24 * 3600.0
 CACHE_FINDING = "tet-cache"
 """Code of findings about the cache."""
 
-_LAYOUT = "musclefit tets 3"
+_LAYOUT = "musclefit tets 4"
 _UNREADABLE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MeshError)
 
 

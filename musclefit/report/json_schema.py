@@ -261,6 +261,7 @@ def _fit() -> Schema:
         "missed_mm": _number(f"Largest distance of the given surface from the tetrahedra's, sampled, mm; {no_filler}."),
         "pieces": _count_or_null(f"Pieces into which the tetrahedra inside the surface fall; {no_filler}."),
         "surface_pieces": _count_or_null(f"Pieces into which the surface itself falls; {no_filler}."),
+        "alone": _count("Tetrahedra left to the next tissue because no face joined them to others inside the surface."),
     }
     return _record(properties, "One tissue in the mesh at rest.")
 

@@ -225,6 +225,7 @@ def _fit(found: TissueFit) -> Json:
         "missed_mm": _number(found.missed_mm),
         "pieces": found.pieces,
         "surface_pieces": found.surface_pieces,
+        "alone": int(found.alone),
     }
 
 

@@ -12,6 +12,7 @@ from musclefit.anatomy.fits import (
     LABELLED_VOLUME_PERCENT,
     TissueFit,
     fit_findings,
+    joined,
     pieces_of_surface,
     pieces_of_tets,
 )
@@ -64,7 +65,7 @@ def test_the_innermost_tissue_gets_the_tet(onion: TetAnatomy) -> None:
 def test_labelled_volumes_are_the_surfaces(onion: TetAnatomy) -> None:
     skin, muscle, bone = (enclosed_volume(tissue.surface) for tissue in onion.anatomy)
     np.testing.assert_allclose(onion.volumes_by_tissue(), [skin - muscle, muscle - bone, bone], rtol=0.02, atol=0)
-    assert (onion.findings, onion.dropped) == ((), 0)
+    assert onion.findings == ()
 
 
 def test_neighbours_share_faces_so_that_the_mesh_has_one_boundary(onion: TetAnatomy) -> None:
@@ -321,6 +322,17 @@ def test_pieces_of_tets_and_surfaces_are_counted(blocks: TetAnatomy) -> None:
         np.concatenate([pair[0].faces, pair[1].faces + len(pair[0].vertices)]),
     )
     assert [pieces_of_surface(s) for s in (*pair, both)] == [1, 1, 2]
+
+
+def test_a_tet_that_no_face_joins_to_its_tissue_is_left_to_the_next(blocks: TetAnatomy) -> None:
+    """As if one tet in the middle of a muscle had its barycentre inside a bone as well."""
+    faces = tet_faces(blocks.mesh.tets)
+    bone = blocks.tissue_of_tet == blocks.names.index("bone_a")
+    stray = bone.copy()
+    stray[np.flatnonzero(blocks.tissue_of_tet == blocks.names.index("muscle_a"))[7]] = True
+    np.testing.assert_array_equal(joined(faces, inside=stray), bone)
+    np.testing.assert_array_equal(joined(faces, inside=stray & ~bone), stray & ~bone)  # nothing else is left
+    assert [fit.alone for fit in blocks.fits] == [0] * 6
 
 
 def test_a_tissue_that_came_apart_is_found() -> None:

@@ -49,6 +49,7 @@ def test_the_keys_are_those_of_the_schema(make_report) -> None:
         "kind",
         "tets",
         "volume_mm3",
+        "alone",
     }
     assert to_json(make_report())["tets"] is None
 

@@ -12,7 +12,9 @@ from musclefit.errors import LandmarkError, MeshError, RigError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
+from musclefit.pipeline.sequence import posed_job
 from musclefit.progress import Silent
+from musclefit.rig.motion import Pose
 
 ANATOMY = 'title = "Bar"\n[anatomy]\nfolder = "tissues"\n'
 IMPLICIT = '[deformer]\nstep = "cayley"\nkernel = "isochoric-r3"\n'
@@ -115,6 +117,9 @@ def test_joints_go_through_keyframed_poses(folder: Path) -> None:
     job = read_rig(rig(folder, drive, IMPLICIT + 'path = "joints"\n'))
     np.testing.assert_allclose(job.path.position(0.25), turned(80.0, job.handles.source), rtol=0, atol=1e-12)
     np.testing.assert_allclose(job.path.position(1.0), turned(40.0, job.handles.source), rtol=0, atol=1e-12)
+    posed = posed_job(job, Pose(0, 0.0, (("hinge", 60.0),)))
+    assert posed.stops == ()
+    np.testing.assert_allclose(posed.path.position(0.25), turned(15.0, job.handles.source), rtol=0, atol=1e-12)
     with pytest.raises(RigError, match=r"drive.keyframes: have no effect on path \"screws\"; write .*\"joints\""):
         read_rig(rig(folder, drive, IMPLICIT + 'path = "screws"\n'))
 

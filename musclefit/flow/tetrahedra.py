@@ -59,6 +59,8 @@ class CarriedTets:
 _ALL_WELL = (0, 0)
 _DIVERGED, _DIVERGED_FROM = 4, 50
 """An order of splits is given up when it leaves this many times the wrong places it began with, a few more added."""
+_FEW = 500
+"""Wrong places up to which another order is tried after one was given up; of more, none was seen to be mended."""
 
 
 @dataclass(slots=True)
@@ -113,9 +115,9 @@ def carried_tets(
     another tissue, and the new vertices are where the map takes them. A nearly flat tet is cut where its nearest parts
     are (`geometry.tet_flatness`), which frees it however flat it is; of the others the longest edge is halved. A map
     without folds is nearly linear on small tets, so that it keeps them right-handed unless splitting makes them flatter
-    and flatter. Where that happens all starts anew by halving longest edges alone, and then once more the slow way: a
-    tet's longest edge waits until those of all tets around it are no longer than it, which keeps shapes (Rivara's
-    longest-edge propagation). None of these has a proved end; the limits are its end then.
+    and flatter. Where that happens, and few tets are wrong, all starts anew by halving longest edges alone, and then
+    once more the slow way: a tet's longest edge waits until those of all tets around it are no longer than it, which
+    keeps shapes (Rivara's longest-edge propagation). None of these has a proved end; the limits are its end then.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def carried_tets(
             stopped, done = _refine(work, where, order, rounds=max(1, int(share * max_rounds)), growth=max_growth)
             tick((number + 1) / len(_ORDERS))
             outcomes.append((work, stopped, done))
-            if not stopped:
+            if not stopped or sum(given.wrong) > _FEW:
                 break
     if outcomes:
         best, stopped, done = min(outcomes, key=lambda outcome: outcome[0].wrong)

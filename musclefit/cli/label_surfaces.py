@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from musclefit.cli.progress import TimedStages
+from musclefit.errors import InputError
 from musclefit.geometry.images import Frame
 
 PASSED = 0
@@ -26,6 +27,10 @@ def label_surfaces(
     from musclefit.io.label_maps import read_label_anatomy
     from musclefit.io.outputs import file_names, ply_bytes
 
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(
+            f"{out}: is not an empty folder; surfaces of former labels would mix with new ones: choose another"
+        )
     with TimedStages(shown=not quiet) as stages:
         read = read_label_anatomy(image, names, frame=frame, progress=stages)
         out.mkdir(parents=True, exist_ok=True)

@@ -47,13 +47,17 @@ def warp_image(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
 ) -> int:
     """Take an image of the body along with a rig's deformation, through its exact inverse."""
+    import numpy as np
+
     from musclefit.io.rig_names import find_rig
     from musclefit.io.rigs import read_rig
-    from musclefit.io.volumes import read_volume, write_displacements, write_volume
+    from musclefit.io.volumes import check_images_writable, read_volume, write_displacements, write_volume
     from musclefit.pipeline.deformers import deform
-    from musclefit.pipeline.images import inverse_displacements, jacobian_map
+    from musclefit.pipeline.images import jacobian_map
     from musclefit.pipeline.images import warp_image as warped_image
 
+    written = [path for path in (out, displacements, jacobian) if path is not None]
+    check_images_writable(written, given=[path for path in (image, like) if path is not None])
     with TimedStages(shown=not quiet) as stages:
         volume = read_volume(image)
         _require_interpolation(image, whole=volume.holds_labels, interpolation=interpolation)
@@ -61,6 +65,7 @@ def warp_image(
         job = read_rig(find_rig(rig), overrides=set, progress=stages)
         _require_frame(job.anatomy.frame, frame)
         deformation = deform(job, job.anatomy.vertices(), progress=stages).deformation.require()
+        vectors = None if displacements is None else np.empty((*onto.shape, 3), dtype=np.float32)
         warped = warped_image(
             volume.values,
             volume.grid,
@@ -69,18 +74,18 @@ def warp_image(
             onto=onto,
             interpolation=interpolation,
             outside=outside,
+            displacements=vectors,
             progress=stages,
         )
-        write_volume(out, warped.values, onto, description=f"musclefit: {job.name}")
-        written = [out]
-        if displacements is not None:
-            vectors, _ = inverse_displacements(deformation, onto, frame=frame, progress=stages)
-            write_displacements(displacements, vectors, onto, description="deformed body to rest, mm, LPS+")
-            written.append(displacements)
+        determinants = None
         if jacobian is not None:
             determinants = jacobian_map(deformation, volume.grid, frame=frame, progress=stages)
+        # All that can fail is done: the displacements refuse voxels without origin, so they are written first.
+        if displacements is not None and vectors is not None:
+            write_displacements(displacements, vectors, onto, description="deformed body to rest, mm, LPS+")
+        if jacobian is not None and determinants is not None:
             write_volume(jacobian, determinants, volume.grid, description="Jacobian determinant, rest to deformed")
-            written.append(jacobian)
+        write_volume(out, warped.values, onto, description=f"musclefit: {job.name}")
     if warped.unsolved:
         print(
             f"musclefit: {warped.unsolved} of {onto.count} voxels have no origin: the map is not one-to-one there, "

@@ -7,6 +7,8 @@ Displacement fields are written as those programs read them: five axes (x, y, z,
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -73,6 +75,36 @@ def read_volume(path: Path) -> Volume:
     return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha256(path.read_bytes()).hexdigest())
 
 
+def check_images_writable(paths: Sequence[Path], *, given: Sequence[Path]) -> None:
+    """Raise InputError unless all images can be written, so that long work is not lost.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        To be written.
+    given : sequence of Path
+        Images that are read, which are not to be overwritten.
+
+    Raises
+    ------
+    InputError
+        nibabel is not installed; a name that does not end in .nii or .nii.gz; one file named twice, or that is read; a
+        folder that cannot be made or written to.
+    """
+    _nibabel()
+    taken = {path.resolve(): path for path in given}
+    for path in paths:
+        _require_ending(path)
+        if path.resolve() in taken:
+            raise InputError(
+                f"{path}: is named twice, or is the image that is read; give each result a file of its own"
+            )
+        taken[path.resolve()] = path
+        folder = next(parent for parent in (path.resolve().parent, *path.resolve().parents) if parent.exists())
+        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+            raise InputError(f"{path}: cannot be written; choose a file in a folder that can")
+
+
 def write_volume(path: Path, values: NDArray[Any], grid: Grid, *, description: str) -> None:
     """Write one value for each voxel, with the grid's affine as qform and sform (scanner coordinates, mm).
 
@@ -119,7 +151,12 @@ def _write(path: Path, values: NDArray[Any], grid: Grid, *, description: str, in
     image.header.set_intent(intent)
     image.header["descrip"] = description.encode("ascii", "replace")[:79]
     path.parent.mkdir(parents=True, exist_ok=True)
-    nibabel.save(image, path)
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    try:
+        nibabel.save(image, unfinished)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def _require_ending(path: Path) -> None:

@@ -19,6 +19,7 @@ from scipy.ndimage import spline_filter1d
 from musclefit.errors import InputError
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.inverses import Guess, Origins, origins, origins_near
+from musclefit.geometry.arrays import Points
 from musclefit.geometry.images import Frame, Grid, Interpolation, in_frame
 from musclefit.geometry.sampling import prefiltered, sample
 from musclefit.progress import Progress, Silent, Tick
@@ -63,6 +64,7 @@ def warp_image(
     onto: Grid,
     interpolation: Interpolation,
     outside: float,
+    displacements: NDArray[np.float32] | None = None,
     progress: Progress | None = None,
 ) -> WarpedImage:
     """Take an image along with a deformation.
@@ -83,6 +85,8 @@ def warp_image(
         Linear and cubic are for intensities; label maps need nearest.
     outside : float
         Value of what comes from beyond the image.
+    displacements : (nx, ny, nz, 3) float32, or None
+        To be filled, where they are wanted too, with what `inverse_displacements` gives on ``onto``.
 
     Raises
     ------
@@ -94,9 +98,12 @@ def warp_image(
     labels = interpolation is Interpolation.NEAREST
     source = prefiltered(values, interpolation)
     out = np.empty(onto.count, dtype=values.dtype if labels else np.float32)
+    vectors = None if displacements is None else displacements.reshape(-1, 3)
     unsolved = 0
     with (progress or Silent()).stage("warp the image") as tick:
         for part, found in _origins(deformation, onto, frame, tick):
+            if vectors is not None:
+                vectors[part] = _vectors(found, onto, part)
             sample(source, grid.indices(found.points), interpolation=interpolation, outside=outside, out=out[part])
             missing = ~found.found
             out[part][missing] = outside
@@ -121,10 +128,14 @@ def inverse_displacements(
     out, unsolved = np.empty((onto.count, 3), dtype=np.float32), 0
     with (progress or Silent()).stage("inverse displacements") as tick:
         for part, found in _origins(deformation, onto, frame, tick):
-            out[part] = found.points - onto.positions(onto.voxels(part.start, part.stop))
-            out[part][~found.found] = np.nan
+            out[part] = _vectors(found, onto, part)
             unsolved += int((~found.found).sum())
     return out.reshape(*onto.shape, 3), unsolved
+
+
+def _vectors(found: Origins, onto: Grid, part: slice) -> Points:
+    """Origins minus voxels; not a number where there is none."""
+    return np.where(found.found[:, None], found.points - onto.positions(onto.voxels(part.start, part.stop)), np.nan)
 
 
 def forward_displacements(

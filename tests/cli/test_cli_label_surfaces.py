@@ -23,6 +23,8 @@ def test_a_segmentation_is_an_anatomy(tmp_path, capsys):
     (tmp_path / "names.csv").write_text("value,name,kind\n3,skin,skin\n7,bone_core,bone\n")
     assert label_surfaces(tmp_path / "seg.nii.gz", tmp_path / "names.csv", out=tmp_path / "out", frame=Frame.LPS) == 0
     assert "wrote 2 surfaces" in capsys.readouterr().out
+    with pytest.raises(InputError, match="is not an empty folder"):
+        label_surfaces(tmp_path / "seg.nii.gz", tmp_path / "names.csv", out=tmp_path / "out", frame=Frame.LPS)
     anatomy = read_anatomy(tmp_path / "out").anatomy
     assert [(t.name, t.kind.value) for t in anatomy] == [("skin", "skin"), ("bone_core", "bone")]
     assert enclosed_volume(anatomy["bone_core"].surface) == pytest.approx(16.0**3, rel=0.12)  # corners are rounded

@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("nibabel", reason="nibabel is not installed (extra volumes)")
 
+from musclefit.cli.commands import main
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import InputError
 from musclefit.geometry.images import Frame, Grid, Interpolation
@@ -37,6 +38,7 @@ def test_labels_are_warped_and_fields_written(image, tmp_path, capsys):
         out=tmp_path / "warped.nii.gz",
         interpolation=Interpolation.NEAREST,
         jacobian=tmp_path / "jacobian.nii.gz",
+        displacements=tmp_path / "field.nii.gz",
         set=("drive.pose.elbow_deg=20", "drive.pose.forearm_deg=10", "deformer.backend=ffd"),
         quiet=True,
     )
@@ -44,6 +46,7 @@ def test_labels_are_warped_and_fields_written(image, tmp_path, capsys):
     warped, jacobian = read_volume(tmp_path / "warped.nii.gz"), read_volume(tmp_path / "jacobian.nii.gz")
     assert warped.values.dtype == np.uint8
     assert set(np.unique(warped.values)) <= set(range(5))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["field.nii.gz", "jacobian.nii.gz", "warped.nii.gz"]
     assert np.median(jacobian.values) == pytest.approx(1.0, abs=0.2)
 
 
@@ -61,3 +64,18 @@ def test_slips_are_told_before_the_long_work(image, tmp_path):
             interpolation=Interpolation.NEAREST,
             quiet=True,
         )
+
+
+def test_nothing_is_written_where_one_of_the_files_cannot_be(image, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    warped = tmp_path / "warped.nii.gz"
+    for arguments, message in (
+        (["--out", str(tmp_path / "warped.mha")], "are read and written as .nii or .nii.gz"),
+        (["--out", str(warped), "--jacobian", str(warped)], "is named twice"),
+        (["--out", str(image)], "is the image that is read"),
+        (["--out", str(warped), "--displacements", str(tmp_path / "file" / "x.nii")], "cannot be written"),
+        (["--out", str(warped), "--set", "deformer.max_steps=1"], "ended early: the step budget ran out"),
+    ):
+        assert main(["warp-image", "upper_limb", str(image), "--frame", "ras", "--quiet", *arguments]) == 2
+        assert message in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -12,7 +12,7 @@ from pathlib import Path
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import TissueKind
 from musclefit.anatomy.repairs import Way
-from musclefit.errors import InputError
+from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.io.ftetwild import fill
 from musclefit.io.outputs import check_writable, file_names, ply_bytes, write_surfaces
@@ -56,7 +56,10 @@ def read_raw(
         for done, (name, path) in enumerate(named.items(), start=1):
             raw = read_surface(path, units=units)
             kind, notes = kind_of(name, path, kinds)
-            tissues.append(RawTissue(name, kind, raw.mesh(), str(path)))
+            try:
+                tissues.append(RawTissue(name, kind, raw.mesh(), str(path)))
+            except MeshError as error:
+                raise MeshError(f"{path}: {error}; export the surface again") from None
             places[name] = path.relative_to(source) if source.is_dir() else Path(path.name)
             hashes[places[name].as_posix()] = raw.sha256
             findings = (*findings, *raw.findings, *(notes if source.is_dir() else ()))

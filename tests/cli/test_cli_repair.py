@@ -135,6 +135,18 @@ def test_targets_that_would_lose_something_are_refused(tmp_path, capsys, source,
     assert not (tmp_path / "out").exists()
 
 
+def test_positions_that_are_no_numbers_are_refused_by_file(tmp_path, capsys):
+    vertices = np.array(ball().vertices)
+    vertices[3, 1] = np.nan
+    header, _, body = ply_bytes(ball()).partition(b"end_header\n")
+    raw = vertices.astype("<f8").tobytes() + body[vertices.nbytes :]
+    (tmp_path / "a.ply").write_bytes(header + b"end_header\n" + raw)
+    assert main(["repair", str(tmp_path / "a.ply"), str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "a.ply: 1 vertices are not finite, the first is number 3" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_settings_are_checked(tmp_path, capsys):
     _write(tmp_path / "a.ply", _holed())
     assert main(["repair", str(tmp_path / "a.ply"), str(tmp_path / "out"), "--limit-mm", "-1"]) == 2

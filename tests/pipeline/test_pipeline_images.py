@@ -178,6 +178,23 @@ def test_a_jacobian_map_is_the_volume_that_voxels_take(kind):
     assert found[10, 12, 8] == pytest.approx(np.linalg.det(MAPS[kind].jacobian(here))[0], rel=1e-5)
 
 
+def test_written_jacobian_maps_are_simpleitks_of_the_written_field(tmp_path):
+    """Central differences of the field over 2 voxels, on a grid along ITK's axes, inside its border."""
+    affine = np.diag([-1.0, -1.0, 1.0, 1.0])
+    affine[:3, 3] = [18.0, -10.0, -12.0]
+    grid = Grid((30, 32, 26), affine)
+    write_displacements(
+        tmp_path / "field.nii.gz", forward_displacements(MAPS["rbf"], grid, frame=Frame.RAS), grid, description=""
+    )
+    write_volume(tmp_path / "det.nii.gz", jacobian_map(MAPS["rbf"], grid, frame=Frame.RAS), grid, description="")
+    field = sitk.ReadImage(str(tmp_path / "field.nii.gz"), sitk.sitkVectorFloat64)
+    theirs = sitk.GetArrayFromImage(sitk.DisplacementFieldJacobianDeterminant(field))
+    ours = sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "det.nii.gz")))
+    inside = (slice(1, -1),) * 3
+    assert np.ptp(ours[inside]) > 0.2
+    np.testing.assert_allclose(theirs[inside], ours[inside], rtol=0, atol=0.02)
+
+
 def test_a_folded_map_says_which_voxels_it_cannot_solve():
     """x -> x + 8 sin(x / 4) has places that nothing else but a fold reaches; they are counted, not guessed."""
     at = np.array([[-20.0, 0, 0], [-5.0, 0, 0], [5.0, 0, 0], [20.0, 0, 0], [0, 20.0, 0], [0, -20.0, 0], [0, 0, 20.0]])

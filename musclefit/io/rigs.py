@@ -5,55 +5,41 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
-from musclefit.errors import InputError, LandmarkError, MeshError, RigError
-from musclefit.geometry.arrays import Points
-from musclefit.geometry.meshes import TriMesh
-from musclefit.io.landmarks import LandmarkTable, paired, positions_of, read_landmarks
-from musclefit.io.lattices import read_displacements
+from musclefit.errors import InputError, LandmarkError, RigError
+from musclefit.io.drives import Driver, OnBones, OnSkeleton, Pairs, read_driver
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
-from musclefit.io.surfaces import read_anatomy, read_surface
-from musclefit.io.tables import parse_table, parse_toml
+from musclefit.io.surfaces import read_anatomy
+from musclefit.io.tables import parse_toml
 from musclefit.progress import Progress, Silent
-from musclefit.rig.handles import BoneMotions, Handles
+from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import (
     FurtherPoints,
     Job,
-    cage_crossings,
-    cage_handles,
     check_handles,
     joint_findings,
     path_by_joints,
     path_by_pairs,
     require_bones,
 )
-from musclefit.rig.joints import JointSystem, parse_joints
-from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import (
-    CageCrossings,
     CageDrive,
     Drive,
     JointDrive,
     Keyed,
     LandmarkDrive,
     LatticeDrive,
-    PathKind,
     Rig,
     SkeletonDrive,
-    Unit,
 )
-from musclefit.rig.paths import motions_of, skeleton_of
 from musclefit.rig.section import suggestion
-from musclefit.rig.skeleton import SkeletonPath
 from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table import apply_overrides, parse_rig
 
@@ -106,10 +92,10 @@ def read_rig(
         table = apply_overrides(table, overrides, source=str(rig_path))
     rig = _resolved(parse_rig(table, source=str(rig_path)), files)
     further = _read_further(rig, points, files)
-    driver = _read_driver(rig, files)
+    driver = read_driver(rig, files)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
     motions, joints = None, None
-    if isinstance(driver, _OnBones):
+    if isinstance(driver, OnBones):
         motions, joints = driver.motions, driver.joints
         _require_bones(anatomy, driver, files)
         findings += joint_findings(anatomy, joints, subject=rig_path.name)
@@ -127,7 +113,7 @@ def read_rig(
         name=rig_path.stem,
         source=str(rig_path),
         joints=joints,
-        lattice=driver.lattice if isinstance(driver, _Pairs) else None,
+        lattice=driver.lattice if isinstance(driver, Pairs) else None,
         overrides=tuple(overrides),
         further=further,
         stops=_stops(rig.drive),
@@ -176,205 +162,6 @@ def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
             return replace(drive, source=source, target=target, keyframes=keyframes)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Pairs:
-    """A drive of pairs: handles and where they go, (m, 3) mm; ``frame`` is LPS or RAS where the file says so."""
-
-    handles: Handles
-    target: Points
-    findings: tuple[Finding, ...]
-    frame: str = ""
-    lattice: ControlLattice | None = None
-    keyframes: tuple[tuple[float, Points], ...] = ()
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _OnSkeleton:
-    """A drive of a curve: its landmarks with their sections, and their way."""
-
-    handles: Handles
-    path: SkeletonPath
-    findings: tuple[Finding, ...]
-    frame: str = ""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _OnBones:
-    """A drive of joints: landmarks from a file, or None to spread ``per_bone`` over each bone."""
-
-    motions: BoneMotions
-    joints: JointSystem
-    landmarks: Handles | None
-    per_bone: int
-    findings: tuple[Finding, ...] = ()
-    frame: str = ""
-
-
-_Driver = _Pairs | _OnBones | _OnSkeleton
-
-
-def _read_driver(rig: Rig, files: NamedFiles) -> _Driver:
-    match rig.drive:
-        case LandmarkDrive():
-            return _read_landmark_pairs(rig.drive, files)
-        case SkeletonDrive():
-            return _read_skeleton(rig.drive, files)
-        case CageDrive():
-            return _read_cages(rig.drive, files)
-        case LatticeDrive():
-            return _read_lattice(rig.drive, files)
-        case JointDrive():
-            return _read_joint_drive(rig.drive, files, kind=rig.deformer.path)
-
-
-def _read_joint_drive(drive: JointDrive, files: NamedFiles, *, kind: PathKind) -> _OnBones:
-    data = files.read(Path(drive.joints), key="drive.joints")
-    joints = parse_joints(parse_table(data, source=drive.joints), source=drive.joints)
-    try:
-        joints.check_pose(dict(drive.pose))
-    except RigError as error:
-        raise files.named("drive.pose", error) from None
-    try:
-        motions = motions_of(drive, joints, kind=kind)
-    except RigError as error:
-        raise files.named("drive.keyframes", error) from None
-    if not drive.landmarks:
-        return _OnBones(motions, joints, None, drive.landmarks_per_bone)
-    table = _read_bone_landmarks(drive, files)
-    landmarks = _handles(table)
-    return _OnBones(motions, joints, landmarks, drive.landmarks_per_bone, table.findings, table.coordinate_system)
-
-
-def _read_landmark_pairs(drive: LandmarkDrive, files: NamedFiles) -> _Pairs:
-    table, targets = _with_targets(drive, files)
-    keys = _landmark_keyframes(drive, files, names=table.names)
-    return _Pairs(_handles(table), targets, table.findings, table.coordinate_system, keyframes=keys)
-
-
-def _read_skeleton(drive: SkeletonDrive, files: NamedFiles) -> _OnSkeleton:
-    table, targets = _with_targets(drive, files)
-    keys = _landmark_keyframes(drive, files, names=table.names)
-    try:
-        skeleton = skeleton_of(drive, table.positions, targets, keyframes=keys, name=Path(drive.source).stem)
-    except LandmarkError as error:
-        raise files.named("drive", error) from None
-    return _OnSkeleton(*skeleton, table.findings, table.coordinate_system)
-
-
-def _landmark_keyframes(
-    drive: LandmarkDrive | SkeletonDrive, files: NamedFiles, *, names: Sequence[str]
-) -> tuple[tuple[float, Points], ...]:
-    """Moments and (m, 3) places, in the order of the names, mm."""
-    found = []
-    for key in drive.keyframes:
-        table = _landmarks(key.file, files, key="drive.keyframes", drive=drive)
-        try:
-            found.append((key.at, positions_of(table, names)))
-        except LandmarkError as error:
-            raise files.named("drive.keyframes", error) from None
-    return tuple(found)
-
-
-def _with_targets(drive: LandmarkDrive | SkeletonDrive, files: NamedFiles) -> tuple[LandmarkTable, Points]:
-    """The landmarks and where they go."""
-    table = _landmarks(drive.source, files, key="drive.source", drive=drive)
-    if drive.target:
-        target = _landmarks(drive.target, files, key="drive.target", drive=drive)
-        try:
-            table = paired(table, target)
-        except InputError as error:
-            raise files.named("drive.target", error) from None
-    if table.targets is None:
-        raise LandmarkError(
-            f"{files.rig}: drive.source: {drive.source} has no target columns ({_prefixes(drive)[1]}x_mm, ...); add "
-            "them, say how they start in drive.target_prefix, or name a second file in drive.target"
-        )
-    return table, table.targets
-
-
-def _prefixes(drive: LandmarkDrive | SkeletonDrive) -> tuple[str, str]:
-    """What columns of positions and of targets start with."""
-    return (drive.source_prefix, drive.target_prefix) if isinstance(drive, LandmarkDrive) else ("", "target_")
-
-
-def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
-    table = _landmarks(drive.landmarks, files, key="drive.landmarks", drive=drive)
-    if table.targets is not None:
-        raise LandmarkError(
-            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say where landmarks "
-            'go; remove the columns, or use a drive of kind "landmarks"'
-        )
-    return table
-
-
-def _read_cages(drive: CageDrive, files: NamedFiles) -> _Pairs:
-    source, findings = _cage(drive.source, files, key="drive.source", units=drive.units)
-    target, more = _cage(drive.target, files, key="drive.target", units=drive.units)
-    try:
-        pairs = cage_handles(source, target)
-    except MeshError as error:
-        raise files.named("drive.target", error) from None
-    crossings = [
-        found
-        for path, cage in ((drive.source, source), (drive.target, target))
-        for found in cage_crossings(cage, name=Path(path).stem)
-    ]
-    if crossings and drive.crossings is CageCrossings.REFUSE:
-        raise MeshError(
-            f"{files.rig}: drive: {len(crossings)} pairs of triangles of the cages cross (numbers from 0): "
-            f"{'; '.join(found.message for found in crossings)}. Correct the cages, or go on all the same with "
-            f'drive.crossings = "{CageCrossings.ACCEPT}"'
-        )
-    keys = []
-    for key in drive.keyframes:
-        cage, found = _cage(key.file, files, key="drive.keyframes", units=drive.units)
-        try:
-            keys.append((key.at, cage_handles(source, cage)[1]))
-        except MeshError as error:
-            raise files.named("drive.keyframes", error) from None
-        findings = (*findings, *found)
-    return _Pairs(*pairs, (*findings, *more, *crossings), keyframes=tuple(keys))
-
-
-def _read_lattice(drive: LatticeDrive, files: NamedFiles) -> _Pairs:
-    path, shape = Path(drive.displacements), (drive.shape[0], drive.shape[1], drive.shape[2])
-    files.read(path, key="drive.displacements")
-    try:
-        moved = read_displacements(path, shape=shape, units=drive.units)
-        lattice = ControlLattice(np.array(drive.low_mm), np.array(drive.high_mm), shape, moved)
-    except InputError as error:
-        raise files.named("drive.displacements" if isinstance(error, LandmarkError) else "drive", error) from None
-    return _Pairs(lattice.handles(), lattice.arrivals(), (), lattice=lattice)
-
-
-def _landmarks(
-    path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive | SkeletonDrive
-) -> LandmarkTable:
-    files.read(Path(path), key=key)
-    try:
-        if isinstance(drive, JointDrive):
-            return read_landmarks(Path(path), units=drive.units)
-        prefixes = _prefixes(drive)
-        return read_landmarks(Path(path), units=drive.units, source_prefix=prefixes[0], target_prefix=prefixes[1])
-    except InputError as error:
-        raise files.named(key, error) from None
-
-
-def _handles(table: LandmarkTable) -> Handles:
-    return Handles(table.names, table.positions, table.bones)
-
-
-def _cage(path: str, files: NamedFiles, *, key: str, units: Unit) -> tuple[TriMesh, tuple[Finding, ...]]:
-    try:
-        raw = read_surface(Path(path), units=units)
-        if raw.path.suffix.lower() == ".stl":
-            raise MeshError(f"{path}: in STL every triangle has its own vertices; give the cage as PLY or OBJ")
-        files.keep(raw.path, raw.sha256)
-        return TriMesh(raw.vertices, raw.faces), raw.findings
-    except InputError as error:
-        raise files.named(key, error) from None
-
-
 def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[Anatomy, tuple[Finding, ...]]:
     source = rig.anatomy
     if source.builtin:
@@ -418,23 +205,23 @@ def _stops(drive: Drive) -> tuple[float, ...]:
     return tuple(key.at for key in drive.keyframes) if isinstance(drive, Keyed) else ()
 
 
-def _require_bones(anatomy: Anatomy, driver: _OnBones, files: NamedFiles) -> None:
+def _require_bones(anatomy: Anatomy, driver: OnBones, files: NamedFiles) -> None:
     try:
         require_bones(anatomy, driver.joints)
     except RigError as error:
         raise files.named("drive.joints", error) from None
 
 
-def _driven(rig: Rig, anatomy: Anatomy, *, driver: _Driver, files: NamedFiles) -> tuple[Handles, HandlePath]:
+def _driven(rig: Rig, anatomy: Anatomy, *, driver: Driver, files: NamedFiles) -> tuple[Handles, HandlePath]:
     """The handles and their path, checked."""
     path: HandlePath
     try:
         match driver:
-            case _Pairs(handles=handles, target=target, keyframes=keyframes):
+            case Pairs(handles=handles, target=target, keyframes=keyframes):
                 path = path_by_pairs(handles, target, kind=rig.deformer.path, keyframes=keyframes)
-            case _OnSkeleton(handles=handles, path=path):
+            case OnSkeleton(handles=handles, path=path):
                 pass
-            case _OnBones(motions=motions, joints=joints, landmarks=landmarks, per_bone=per_bone):
+            case OnBones(motions=motions, joints=joints, landmarks=landmarks, per_bone=per_bone):
                 handles = landmarks or bone_landmarks(anatomy, joints.bones(), per_bone=per_bone)
                 path = path_by_joints(handles, motions, kind=rig.deformer.path)
         check_handles(handles, path, anatomy=anatomy, stops=_stops(rig.drive))

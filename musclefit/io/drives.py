@@ -1,0 +1,243 @@
+"""Drives: takes a rig and the files that its drive names, gives handles and their way, or joints; knows no anatomy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from musclefit.anatomy.findings import Finding
+from musclefit.errors import InputError, LandmarkError, MeshError, RigError
+from musclefit.geometry.arrays import Points
+from musclefit.geometry.meshes import TriMesh
+from musclefit.io.landmarks import LandmarkTable, paired, positions_of, read_landmarks
+from musclefit.io.lattices import read_displacements
+from musclefit.io.named_files import NamedFiles
+from musclefit.io.surfaces import read_surface
+from musclefit.io.tables import parse_table
+from musclefit.rig.handles import BoneMotions, Handles
+from musclefit.rig.job import cage_crossings, cage_handles
+from musclefit.rig.joints import JointSystem, parse_joints
+from musclefit.rig.lattice import ControlLattice
+from musclefit.rig.model import (
+    CageCrossings,
+    CageDrive,
+    JointDrive,
+    LandmarkDrive,
+    LatticeDrive,
+    PathKind,
+    Rig,
+    SkeletonDrive,
+    Unit,
+)
+from musclefit.rig.paths import motions_of, skeleton_of
+from musclefit.rig.skeleton import SkeletonPath
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Pairs:
+    """A drive of pairs: handles and where they go, (m, 3) mm; ``frame`` is LPS or RAS where the file says so."""
+
+    handles: Handles
+    target: Points
+    findings: tuple[Finding, ...]
+    frame: str = ""
+    lattice: ControlLattice | None = None
+    keyframes: tuple[tuple[float, Points], ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OnSkeleton:
+    """A drive of a curve: its landmarks with their sections, and their way."""
+
+    handles: Handles
+    path: SkeletonPath
+    findings: tuple[Finding, ...]
+    frame: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OnBones:
+    """A drive of joints: landmarks from a file, or None to spread ``per_bone`` over each bone."""
+
+    motions: BoneMotions
+    joints: JointSystem
+    landmarks: Handles | None
+    per_bone: int
+    findings: tuple[Finding, ...] = ()
+    frame: str = ""
+
+
+Driver = Pairs | OnBones | OnSkeleton
+"""What a drive becomes before the anatomy is known."""
+
+
+def read_driver(rig: Rig, files: NamedFiles) -> Driver:
+    """Read what the rig's drive names.
+
+    Raises
+    ------
+    RigError, LandmarkError, MeshError
+        A file that is missing or cannot be used; the message starts with the rig and the key.
+    """
+    match rig.drive:
+        case LandmarkDrive():
+            return _read_landmark_pairs(rig.drive, files)
+        case SkeletonDrive():
+            return _read_skeleton(rig.drive, files)
+        case CageDrive():
+            return _read_cages(rig.drive, files)
+        case LatticeDrive():
+            return _read_lattice(rig.drive, files)
+        case JointDrive():
+            return _read_joint_drive(rig.drive, files, kind=rig.deformer.path)
+
+
+def _read_joint_drive(drive: JointDrive, files: NamedFiles, *, kind: PathKind) -> OnBones:
+    data = files.read(Path(drive.joints), key="drive.joints")
+    joints = parse_joints(parse_table(data, source=drive.joints), source=drive.joints)
+    try:
+        joints.check_pose(dict(drive.pose))
+    except RigError as error:
+        raise files.named("drive.pose", error) from None
+    try:
+        motions = motions_of(drive, joints, kind=kind)
+    except RigError as error:
+        raise files.named("drive.keyframes", error) from None
+    if not drive.landmarks:
+        return OnBones(motions, joints, None, drive.landmarks_per_bone)
+    table = _read_bone_landmarks(drive, files)
+    landmarks = _handles(table)
+    return OnBones(motions, joints, landmarks, drive.landmarks_per_bone, table.findings, table.coordinate_system)
+
+
+def _read_landmark_pairs(drive: LandmarkDrive, files: NamedFiles) -> Pairs:
+    table, targets = _with_targets(drive, files)
+    keys = _landmark_keyframes(drive, files, names=table.names)
+    return Pairs(_handles(table), targets, table.findings, table.coordinate_system, keyframes=keys)
+
+
+def _read_skeleton(drive: SkeletonDrive, files: NamedFiles) -> OnSkeleton:
+    table, targets = _with_targets(drive, files)
+    keys = _landmark_keyframes(drive, files, names=table.names)
+    try:
+        skeleton = skeleton_of(drive, table.positions, targets, keyframes=keys, name=Path(drive.source).stem)
+    except LandmarkError as error:
+        raise files.named("drive", error) from None
+    return OnSkeleton(*skeleton, table.findings, table.coordinate_system)
+
+
+def _landmark_keyframes(
+    drive: LandmarkDrive | SkeletonDrive, files: NamedFiles, *, names: Sequence[str]
+) -> tuple[tuple[float, Points], ...]:
+    """Moments and (m, 3) places, in the order of the names, mm."""
+    found = []
+    for key in drive.keyframes:
+        table = _landmarks(key.file, files, key="drive.keyframes", drive=drive)
+        try:
+            found.append((key.at, positions_of(table, names)))
+        except LandmarkError as error:
+            raise files.named("drive.keyframes", error) from None
+    return tuple(found)
+
+
+def _with_targets(drive: LandmarkDrive | SkeletonDrive, files: NamedFiles) -> tuple[LandmarkTable, Points]:
+    """The landmarks and where they go."""
+    table = _landmarks(drive.source, files, key="drive.source", drive=drive)
+    if drive.target:
+        target = _landmarks(drive.target, files, key="drive.target", drive=drive)
+        try:
+            table = paired(table, target)
+        except InputError as error:
+            raise files.named("drive.target", error) from None
+    if table.targets is None:
+        raise LandmarkError(
+            f"{files.rig}: drive.source: {drive.source} has no target columns ({_prefixes(drive)[1]}x_mm, ...); add "
+            "them, say how they start in drive.target_prefix, or name a second file in drive.target"
+        )
+    return table, table.targets
+
+
+def _prefixes(drive: LandmarkDrive | SkeletonDrive) -> tuple[str, str]:
+    """What columns of positions and of targets start with."""
+    return (drive.source_prefix, drive.target_prefix) if isinstance(drive, LandmarkDrive) else ("", "target_")
+
+
+def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
+    table = _landmarks(drive.landmarks, files, key="drive.landmarks", drive=drive)
+    if table.targets is not None:
+        raise LandmarkError(
+            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say where landmarks "
+            'go; remove the columns, or use a drive of kind "landmarks"'
+        )
+    return table
+
+
+def _read_cages(drive: CageDrive, files: NamedFiles) -> Pairs:
+    source, findings = _cage(drive.source, files, key="drive.source", units=drive.units)
+    target, more = _cage(drive.target, files, key="drive.target", units=drive.units)
+    try:
+        pairs = cage_handles(source, target)
+    except MeshError as error:
+        raise files.named("drive.target", error) from None
+    crossings = [
+        found
+        for path, cage in ((drive.source, source), (drive.target, target))
+        for found in cage_crossings(cage, name=Path(path).stem)
+    ]
+    if crossings and drive.crossings is CageCrossings.REFUSE:
+        raise MeshError(
+            f"{files.rig}: drive: {len(crossings)} pairs of triangles of the cages cross (numbers from 0): "
+            f"{'; '.join(found.message for found in crossings)}. Correct the cages, or go on all the same with "
+            f'drive.crossings = "{CageCrossings.ACCEPT}"'
+        )
+    keys = []
+    for key in drive.keyframes:
+        cage, found = _cage(key.file, files, key="drive.keyframes", units=drive.units)
+        try:
+            keys.append((key.at, cage_handles(source, cage)[1]))
+        except MeshError as error:
+            raise files.named("drive.keyframes", error) from None
+        findings = (*findings, *found)
+    return Pairs(*pairs, (*findings, *more, *crossings), keyframes=tuple(keys))
+
+
+def _read_lattice(drive: LatticeDrive, files: NamedFiles) -> Pairs:
+    path, shape = Path(drive.displacements), (drive.shape[0], drive.shape[1], drive.shape[2])
+    files.read(path, key="drive.displacements")
+    try:
+        moved = read_displacements(path, shape=shape, units=drive.units)
+        lattice = ControlLattice(np.array(drive.low_mm), np.array(drive.high_mm), shape, moved)
+    except InputError as error:
+        raise files.named("drive.displacements" if isinstance(error, LandmarkError) else "drive", error) from None
+    return Pairs(lattice.handles(), lattice.arrivals(), (), lattice=lattice)
+
+
+def _landmarks(
+    path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive | SkeletonDrive
+) -> LandmarkTable:
+    files.read(Path(path), key=key)
+    try:
+        if isinstance(drive, JointDrive):
+            return read_landmarks(Path(path), units=drive.units)
+        prefixes = _prefixes(drive)
+        return read_landmarks(Path(path), units=drive.units, source_prefix=prefixes[0], target_prefix=prefixes[1])
+    except InputError as error:
+        raise files.named(key, error) from None
+
+
+def _handles(table: LandmarkTable) -> Handles:
+    return Handles(table.names, table.positions, table.bones)
+
+
+def _cage(path: str, files: NamedFiles, *, key: str, units: Unit) -> tuple[TriMesh, tuple[Finding, ...]]:
+    try:
+        raw = read_surface(Path(path), units=units)
+        if raw.path.suffix.lower() == ".stl":
+            raise MeshError(f"{path}: in STL every triangle has its own vertices; give the cage as PLY or OBJ")
+        files.keep(raw.path, raw.sha256)
+        return TriMesh(raw.vertices, raw.faces), raw.findings
+    except InputError as error:
+        raise files.named(key, error) from None

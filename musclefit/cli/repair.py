@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_text
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from musclefit.report.repairs import RepairReport
 
 PASSED, FAILED = 0, 1
+
+WIDTH = 200
+"""Columns of the table where there is no terminal."""
 
 PAIRS_SHOWN = 20
 """Overlapping pairs in the terminal; all are in the report."""
@@ -102,7 +106,8 @@ def repair(
 
 def print_repair(report: RepairReport, *, where: str) -> None:
     """Verdict, every surface that was changed with its changes, the pairs, and what breaks a limit."""
-    console = Console(highlight=False, soft_wrap=True)
+    width = None if sys.stdout.isatty() else WIDTH
+    console = Console(highlight=False, soft_wrap=True, width=width)
     style = "bold green" if report.verdict == "passed" else "bold red"
     console.print(Text.assemble((report.verdict.upper(), style), f"  {report.title}"))
     changed = [s for s in report.surfaces if s.changes]

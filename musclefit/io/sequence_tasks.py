@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -14,7 +16,7 @@ from musclefit.errors import MusclefitError
 from musclefit.geometry.arrays import Points
 from musclefit.io.sequence_frames import VERTICES, frame_folder, write_atomically, write_frame
 from musclefit.pipeline.sequence import Stage
-from musclefit.progress import Silent
+from musclefit.progress import Silent, Tick
 from musclefit.report.sequence import BetweenSummary
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
@@ -34,6 +36,19 @@ _here: list[_Work] = []
 """What this process was prepared for; a worker serves one sequence."""
 
 
+class _CpuStages:
+    """Progress that keeps the CPU seconds of each stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Tick]:
+        start = time.process_time()
+        yield lambda _: None
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - start
+
+
 def prepare(job: Job, poses: tuple[Pose, ...], folder: Path) -> None:
     """Prepare this process for a sequence."""
     _here[:] = [_Work(Stage.of(job), poses, folder)]
@@ -42,8 +57,10 @@ def prepare(job: Job, poses: tuple[Pose, ...], folder: Path) -> None:
 def make(number: int) -> float:
     """Make and write a frame; the CPU seconds that it took."""
     work, start = _here[0], time.process_time()
-    frame = work.stage.frame(work.poses[number])
-    write_frame(work.folder, frame, job=work.stage.job, cpu_s={"frame": time.process_time() - start})
+    stages = _CpuStages()
+    frame = work.stage.frame(work.poses[number], progress=stages)
+    cpu_s = {"frame": time.process_time() - start, "march": stages.seconds.get("march", 0.0)}
+    write_frame(work.folder, frame, job=work.stage.job, cpu_s=cpu_s)
     return time.process_time() - start
 
 

@@ -45,6 +45,7 @@ class FrameSummary:
     muscles : tuple of MuscleMeasures
     volume_changes : mapping of muscle name to percent
     cpu_s : mapping of part to seconds
+        ``frame`` in all, and its ``march``: what it took to find the deformation.
     """
 
     number: int

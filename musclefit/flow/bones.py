@@ -293,6 +293,8 @@ def contact_residuals(groups: Sequence[RigidGroup], deformation: Deformation, mo
     """
     contacts = [group for group in groups if group.contact.any()]
     worst = np.zeros(sum(int(group.contact.sum()) for group in contacts))
+    if not contacts:
+        return worst
     for start, end, part in deformation.by_stretch():
         before, after = motions.at(start), motions.at(end)
         moved = part(np.concatenate([np.zeros((0, 3)), *(g.at(before).vertices[g.contact] for g in contacts)]))

@@ -573,7 +573,7 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
     section, _, name = key.rpartition(".")
     records: dict[str, list[Any]] = {
         "anatomy": [model.AnatomySource],
-        "drive": [model.LandmarkDrive, model.JointDrive, model.CageDrive, model.SkeletonDrive],
+        "drive": [model.LandmarkDrive, model.JointDrive, model.CageDrive, model.LatticeDrive, model.SkeletonDrive],
         "deformer": [model.DeformerSettings],
         "bones": [model.BoneSettings],
         "surfaces": [model.SurfaceSettings],

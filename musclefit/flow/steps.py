@@ -13,6 +13,8 @@ from musclefit.geometry.arrays import Float, Gradients, Points
 
 NEWTON_TOLERANCE_MM = 1e-11
 """An implicit step is solved when its equation holds to this at coordinates up to a metre (in proportion beyond)."""
+NEWTON_ROUNDING_MM = 2e-9
+"""What rounding may leave of it where iteration does not help: sums of r³ over bodies of metres cancel to 4e-10 mm."""
 NEWTON_MAX_ITERATIONS = 30
 BRANCH_STEPS = 16
 """Strengths of the field through which a solution is followed where Newton's method alone does not find it."""
@@ -179,7 +181,7 @@ def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gr
         again = _descended(field, targets[left], start, factor=factor, tolerance=tolerance)
         for whole, better in zip(found, again, strict=True):
             whole[left] = better
-    unsolved = np.flatnonzero(found.residuals > tolerance)
+    unsolved = np.flatnonzero(found.residuals > max(tolerance, NEWTON_ROUNDING_MM))
     if not unsolved.size:
         return found.points, found.gradients
     worst = int(unsolved[np.argmax(found.residuals[unsolved])])

@@ -62,11 +62,14 @@ class RigidGroup:
         All their surfaces at rest, cut so finely that its vertices sample them evenly.
     contact : (v,) bool
         Vertices that come close to a bone that moves otherwise, somewhere along the path.
+    given : int
+        The first so many vertices are the bones' own.
     """
 
     bones: tuple[str, ...]
     surface: TriMesh
     contact: Bool
+    given: int
 
     @property
     def exposed(self) -> Points:
@@ -279,9 +282,11 @@ def _exact_at(points: Points, moves: Points, field: CorrectedField) -> Corrected
 def exposed_residuals(
     groups: Sequence[RigidGroup], deformation: Deformation, motions: Mapping[str, RigidMotion]
 ) -> Float:
-    """Distances of the mapped exposed vertices of the bones from their rigid motion over the whole path, mm."""
-    targets = np.concatenate([group.at(motions).vertices[~group.contact] for group in groups])
-    moved = deformation(np.concatenate([group.exposed for group in groups]))
+    """Distances of the bones' own mapped exposed vertices from their rigid motion over the whole path, mm."""
+    own = [np.flatnonzero(~group.contact[: group.given]) for group in groups]
+    rest = np.concatenate([group.surface.vertices[kept] for group, kept in zip(groups, own, strict=True)])
+    targets = np.concatenate([group.at(motions).vertices[kept] for group, kept in zip(groups, own, strict=True)])
+    moved = deformation(rest)
     residuals: Float = np.linalg.norm(moved - targets, axis=1)
     return residuals
 
@@ -311,8 +316,9 @@ def _group(anatomy: Anatomy, bones: Sequence[str], sampled_mm: float) -> RigidGr
         np.concatenate([s.vertices for s in surfaces]),
         np.concatenate([s.faces + offset for s, offset in zip(surfaces, offsets, strict=True)]),
     )
+    given = len(surface.vertices)
     surface = with_short_edges(surface, longest_mm=sampled_mm)
-    return RigidGroup(tuple(bones), surface, np.zeros(len(surface.vertices), dtype=bool))
+    return RigidGroup(tuple(bones), surface, np.zeros(len(surface.vertices), dtype=bool), given)
 
 
 def _graded(surface: TriMesh, around: Points, *, reach: float, longest_mm: float) -> TriMesh:

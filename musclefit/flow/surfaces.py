@@ -9,12 +9,19 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy
 from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
+from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.subdivision import FaceEdges, split_edges
 from musclefit.progress import Progress, Silent
 
 MAX_ROUNDS = 8
 """Each round halves edges: from 30 mm to a tenth of a millimetre."""
+
+MAX_CROSSING_ROUNDS = 8
+"""Rounds in which triangles that come to cross each other are cut in four."""
+
+SHORTEST_MM = 1e-3
+"""Edges shorter than this are not split for that."""
 
 LONG_EDGE_MM = 3.0
 """Edges longer than this are split whatever the slopes at their ends say of them: a bend may hide between."""
@@ -71,7 +78,8 @@ def carried_finely(
 
     The middle of an edge e is off by about :math:`|(J_1 - J_0)\, e| / 8`, J the Jacobians at its ends; edges longer
     than ``longest_mm`` are split without asking, since a bend may hide between their ends. The map is one-to-one, so
-    that fine enough surfaces of disjoint tissues stay disjoint.
+    that fine enough surfaces of disjoint tissues stay disjoint, and those that do not cross themselves come to none:
+    where triangles still do, they are cut finer.
 
     Parameters
     ----------
@@ -97,7 +105,20 @@ def carried_finely(
                 splits[work.name] += int(bent.sum())
             _move_new(marked, deformation)
             open_ = [work for work, _, _ in marked]
-            tick((done + 1) / MAX_ROUNDS)
+            tick((done + 1) / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
+        open_ = [w for w in works if w.name not in whole]
+        for done in range(MAX_CROSSING_ROUNDS):
+            marked = [(w, e, b) for w in open_ for e, b in [_crossing(w)] if b.any()]
+            if done == 0:  # what crosses itself as given stays
+                marked = [m for m in marked if not len(self_crossings(anatomy[m[0].name].surface).pairs)]
+            if not marked:
+                break
+            for work, edges, crossing in marked:
+                work.surface = split_edges(work.surface, edges, crossing)
+                splits[work.name] += int(crossing.sum())
+            _move_new(marked, deformation)
+            open_ = [work for work, _, _ in marked]
+            tick((MAX_ROUNDS + done + 1) / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
     tissues = [(anatomy[w.name], w) for w in works]
     rest = Anatomy(tuple(type(t)(t.name, t.kind, w.surface) for t, w in tissues), anatomy.frame)
     deformed = Anatomy(
@@ -115,6 +136,16 @@ def _move_new(marked: list[tuple[_Work, FaceEdges, Bool]], deformation: Deformat
     for (work, _, _), more, slopes in zip(marked, np.split(moved, ends), np.split(jacobians, ends), strict=True):
         work.moved = np.vstack([work.moved, more])
         work.jacobians = np.concatenate([work.jacobians, slopes])
+
+
+def _crossing(work: _Work) -> tuple[FaceEdges, Bool]:
+    """The edges of a tissue, and those of triangles that cross others of its own after the map."""
+    edges = FaceEdges.of(work.surface.faces)
+    marked: Bool = np.zeros(len(edges.ends), dtype=bool)
+    marked[edges.of_face[np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)]] = True
+    a, b = edges.ends.T
+    marked &= np.linalg.norm(work.surface.vertices[b] - work.surface.vertices[a], axis=1) > SHORTEST_MM
+    return edges, marked
 
 
 def _bent(work: _Work, tolerance_mm: float, longest_mm: float) -> tuple[FaceEdges, Bool]:

@@ -157,7 +157,7 @@ def _bones() -> Schema:
     residual = {"p99": _number("99th percentile, mm."), "max": _number("Largest, mm.")}
     properties = {
         "contact_zone_mm": _number("Places of a bone that come closer than this to one that moves otherwise, mm."),
-        "exposed_vertices": _count("Samples of the bones outside the contact zone."),
+        "exposed_vertices": _count("The bones' own vertices outside the contact zone."),
         "contact_vertices": _count("Samples inside it, where the field may slip along the bone."),
         "field_residual_mm": _record(residual, "Distance of the field from the rigid motion at the exposed samples."),
         "contact_residual_max_mm": _number(

@@ -17,10 +17,10 @@ from musclefit.progress import Progress, Silent
 MAX_ROUNDS = 8
 """Each round halves edges: from 30 mm to a tenth of a millimetre."""
 
-MAX_CROSSING_ROUNDS = 8
-"""Rounds in which triangles that come to cross each other are cut in four."""
+MAX_CROSSING_ROUNDS = 16
+"""Rounds in which triangles that come to cross each other are halved."""
 
-SHORTEST_MM = 1e-3
+SHORTEST_MM = 1e-4
 """Edges shorter than this are not split for that."""
 
 LONG_EDGE_MM = 3.0
@@ -139,12 +139,18 @@ def _move_new(marked: list[tuple[_Work, FaceEdges, Bool]], deformation: Deformat
 
 
 def _crossing(work: _Work) -> tuple[FaceEdges, Bool]:
-    """The edges of a tissue, and those of triangles that cross others of its own after the map."""
+    """The edges of a tissue, and the longest ones of triangles that cross others of its own after the map.
+
+    What crosses are mostly caps, triangles whose apex almost lies on their longest edge: that edge alone is in the way.
+    """
     edges = FaceEdges.of(work.surface.faces)
-    marked: Bool = np.zeros(len(edges.ends), dtype=bool)
-    marked[edges.of_face[np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)]] = True
     a, b = edges.ends.T
-    marked &= np.linalg.norm(work.surface.vertices[b] - work.surface.vertices[a], axis=1) > SHORTEST_MM
+    lengths = np.linalg.norm(work.surface.vertices[b] - work.surface.vertices[a], axis=1)
+    faces = edges.of_face[np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)]
+    marked: Bool = np.zeros(len(edges.ends), dtype=bool)
+    if len(faces):
+        marked[np.take_along_axis(faces, lengths[faces].argmax(axis=1)[:, None], axis=1)] = True
+    marked &= lengths > SHORTEST_MM
     return edges, marked
 
 

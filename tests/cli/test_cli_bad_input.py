@@ -396,7 +396,7 @@ def landmark_file_with_headings_alone(at: Place) -> Sequence[str]:
     return _with_landmarks(at, lambda rows: rows.__delitem__(slice(1, None)))
 
 
-@case("landmarks.txt", ".csv, .fcsv and .mrk.json")
+@case("landmarks.txt", ".csv, .fcsv, .mrk.json and .trc")
 def landmark_file_of_another_ending(at: Place) -> Sequence[str]:
     at.landmarks.rename(at.landmarks.with_suffix(".txt"))
     at.replace("landmarks.csv", "landmarks.txt")

@@ -25,7 +25,7 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.rig.handles import BoneMotions
 
-FIRST_ITERATIONS = 40
+FIRST_ITERATIONS = 24
 """Of a correction's least squares, from nothing."""
 
 CONTACT_REACH = 2.0
@@ -35,7 +35,7 @@ samples the field, which is steep there, would leak through the bone."""
 SLIP_PASSES = 2
 """Times that the contact zone is looked at again where the field slips it to, and the correction corrected."""
 
-MORE_ITERATIONS = 16
+MORE_ITERATIONS = 12
 """Of each such pass."""
 
 EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10

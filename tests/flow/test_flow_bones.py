@@ -103,7 +103,7 @@ def test_the_field_follows_the_bones(bent):
     _, path, deformation = bent
     assert deformation.status is Status.CONVERGED
     residuals = exposed_residuals(GROUPS, deformation, MOTIONS.at(1.0))
-    assert np.quantile(residuals, 0.99) < 0.03
+    assert np.quantile(residuals, 0.99) < 0.04
     assert residuals.max() < 0.3
     first = path.handles.source[:5]
     np.testing.assert_allclose(deformation(first), path.position(1.0)[:5], rtol=0, atol=1e-9)

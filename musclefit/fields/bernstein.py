@@ -76,36 +76,6 @@ def _product(a, b, out):
 
 
 @njit(cache=True)
-def contract(values, first, second, third, flat, spare, out):
-    """Apply one (4, 4) matrix along each of three axes of a (4, 4, 4) array (two in the plane); overwrites both."""
-    for i in range(4):
-        for j in range(4):
-            for k in range(4):
-                spare[i, j, k] = (
-                    first[i, 0] * values[0, j, k]
-                    + first[i, 1] * values[1, j, k]
-                    + first[i, 2] * values[2, j, k]
-                    + first[i, 3] * values[3, j, k]
-                )
-    for i in range(4):
-        for j in range(4):
-            for k in range(4):
-                out[i, j, k] = (
-                    second[j, 0] * spare[i, 0, k]
-                    + second[j, 1] * spare[i, 1, k]
-                    + second[j, 2] * spare[i, 2, k]
-                    + second[j, 3] * spare[i, 3, k]
-                )
-    if flat:
-        return
-    for i in range(4):
-        for j in range(4):
-            a, b, c, d = out[i, j, 0], out[i, j, 1], out[i, j, 2], out[i, j, 3]
-            for k in range(4):
-                out[i, j, k] = third[k, 0] * a + third[k, 1] * b + third[k, 2] * c + third[k, 3] * d
-
-
-@njit(cache=True)
 def along_first(matrix, values, out):
     """Apply a (4, 4) matrix along the first axis of a (4, 4, 4) array, flat as all of them here."""
     for i in range(4):

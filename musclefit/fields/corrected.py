@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from musclefit.fields import enclosures
 from musclefit.fields.rbf import RadialField
 from musclefit.fields.solenoidal import SolenoidalField
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
@@ -54,7 +55,7 @@ class CorrectedField:
 
     def gradient_ball_bounds(self, centres: Points, radii: Float) -> tuple[Gradients, Float]:
         """As ``gradient_bounds``, over (B,) balls."""
-        half_widths = np.repeat(radii[:, None], centres.shape[1], axis=1)
+        half_widths = enclosures.cubes(radii, centres.shape[1])
         return self._with_local(*self.radial.gradient_ball_bounds(centres, radii), centres, half_widths)
 
     def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
@@ -76,7 +77,7 @@ class CorrectedField:
 
     def strain_ball_bounds(self, centres: Points, radii: Float) -> tuple[Float, Float]:
         """As ``strain_bounds``, over (B,) balls."""
-        half_widths = np.repeat(radii[:, None], centres.shape[1], axis=1)
+        half_widths = enclosures.cubes(radii, centres.shape[1])
         touched = self.local.touched(centres, half_widths)
         ranges, middles = np.empty((len(centres), 2)), np.full((len(centres), 2), np.nan)
         if not touched.all():

@@ -23,9 +23,6 @@ MAX_CROSSING_ROUNDS = 16
 SHORTEST_MM = 1e-4
 """Edges shorter than this are not split for that."""
 
-LONG_EDGE_MM = 3.0
-"""Edges longer than this are split whatever the slopes at their ends say of them: a bend may hide between."""
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Carried:

@@ -9,6 +9,10 @@ import numpy as np
 from numba import njit
 
 
+MAX_KNOTS = 128
+"""Knots along one axis that are told apart; more make the box coarse."""
+
+
 @njit(cache=True)
 def _bernstein(t0, t1, degree, matrix):
     """Rows: Bernstein coefficients over [t0, t1] of a cell, from those over the whole cell; by blossoming."""
@@ -101,3 +105,35 @@ def along_third(matrix, values, out):
         a, b, c, d = values[r], values[r + 1], values[r + 2], values[r + 3]
         for k in range(4):
             out[r + k] = matrix[k, 0] * a + matrix[k, 1] * b + matrix[k, 2] * c + matrix[k, 3] * d
+
+
+@njit(cache=True)
+def knots_between(corners, spacings, counts, low, high, found):
+    """Write low, the knots of all levels between along one axis, and high to ``found``; gives how many.
+
+    ``corners``, ``spacings`` and ``counts`` are the levels' (L,) first lattice points, spacings and numbers of points
+    along the axis. A knot that levels share counts once. Gives -1 when there are too many.
+    """
+    found[0] = low
+    count = 1
+    for level in range(len(spacings)):
+        corner, h, points = corners[level], spacings[level], counts[level]
+        first = max(int(np.floor(max((low - corner) / h, -3.0))), -2)
+        last = min(int(np.ceil(min((high - corner) / h, points + 3.0))), points + 1)
+        if last - first > MAX_KNOTS:
+            return -1
+        for k in range(first, last + 1):
+            place = corner + k * h
+            if low < place < high:
+                if count + 1 >= len(found):
+                    return -1
+                found[count] = place
+                count += 1
+    found[count] = high
+    found[: count + 1].sort()
+    kept = 1
+    for k in range(1, count + 1):
+        if found[k] > found[kept - 1]:
+            found[kept] = found[k]
+            kept += 1
+    return max(kept, 2)  # a box of no width is one part

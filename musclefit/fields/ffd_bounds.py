@@ -27,14 +27,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from musclefit.fields.bernstein import along_first, along_second, along_third, derivative_matrix, value_matrix
+from musclefit.fields.bernstein import (
+    MAX_KNOTS,
+    along_first,
+    along_second,
+    along_third,
+    derivative_matrix,
+    knots_between,
+    value_matrix,
+)
 from musclefit.fields.eigenvalues import NORM_ROUNDING, floor_of, norm_ceiling, widen_by_hull
 
 MAX_PARTS = 125
 """A box that is cut into more parts than this by the knots gets the coarse bound."""
-
-MAX_KNOTS = 128
-"""Knots along one axis that are told apart; more make the box coarse too."""
 
 ROUNDING = 1e-13
 """Proved rounding, in units of the largest coefficient over the smallest spacing, of one entry of a derivative (fewer
@@ -197,31 +202,6 @@ def _hull(lattices, linear, n, low, high, hull, work):
 
 
 @njit(cache=True)
-def _knots(lattices, axis, low, high, found):
-    """Write low, the knots of all levels between, and high to ``found``; gives how many, or -1 when too many."""
-    found[0] = low
-    count = 1
-    for level in range(len(lattices[3])):
-        corner, spacing = lattices[0][level, axis], lattices[1][level, axis]
-        first = max(int(np.floor(max((low - corner) / spacing, -3.0))), -2)
-        last = min(
-            int(np.ceil(min((high - corner) / spacing, lattices[2][level, axis] + 3.0))), lattices[2][level, axis] + 1
-        )
-        if last - first > MAX_KNOTS:
-            return -1
-        for k in range(first, last + 1):
-            place = corner + k * spacing
-            if low < place < high:
-                if count + 1 >= len(found):
-                    return -1
-                found[count] = place
-                count += 1
-    found[count] = high
-    found[: count + 1].sort()
-    return count + 1
-
-
-@njit(cache=True)
 def _coarse_radius(lattices, n, low, high, centre):
     """Bound of the gradient's distance from ``centre``'s part of every level, from differences over whole cells."""
     total, ranges = 0.0, np.zeros((3, 2), np.int64)
@@ -286,7 +266,12 @@ def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found)
             slack = 1e-15 * (abs(centres[box, axis]) + half_widths[box, axis])
             low[axis] = centres[box, axis] - half_widths[box, axis] - slack
             high[axis] = centres[box, axis] + half_widths[box, axis] + slack
-            counts[axis] = _knots(lattices, axis, low[axis], high[axis], knots[axis]) - 1
+            counts[axis] = (
+                knots_between(
+                    lattices[0][:, axis], lattices[1][:, axis], lattices[2][:, axis], low[axis], high[axis], knots[axis]
+                )
+                - 1
+            )
             parts *= max(counts[axis], 0)
         best, rounding = np.full(2, -np.inf), own
         if parts < 1 or parts > MAX_PARTS:

@@ -14,14 +14,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from musclefit.fields.bernstein import along_first, along_second, along_third, derivative_matrix, value_matrix
+from musclefit.fields.bernstein import (
+    MAX_KNOTS,
+    along_first,
+    along_second,
+    along_third,
+    derivative_matrix,
+    knots_between,
+    value_matrix,
+)
 from musclefit.fields.eigenvalues import floor_of, norm_ceiling, widen_by_hull
 
 MAX_PARTS = 27
 """A box that is cut into more parts than this by the knots gets the coarse bound."""
-
-MAX_KNOTS = 128
-"""Knots along one axis that are told apart; more make the box coarse too."""
 
 ROUNDING = 1e-12
 """Proved rounding of one entry of a gradient, in units of the largest coefficient over the spacing squared (fewer than
@@ -116,34 +121,6 @@ def _add_level(low, h, numbers, coefficients, a0, a1, hull, work):
                 along_third(matrices[z, 2], twice, column)
                 _add_curl(b, x, y, z, column, hull)
     return ROUNDING * largest / (h * h) * (1.0 + 2.0 * reach / h)
-
-
-@njit(cache=True)
-def _knots(lows, spacings, shapes, axis, low, high, found):
-    """Write low, the knots of all levels between, and high to ``found``; gives how many, or -1 when too many."""
-    found[0] = low
-    count = 1
-    for level in range(len(spacings)):
-        corner, h, points = lows[level, axis], spacings[level], shapes[level, axis]
-        first = max(int(np.floor(max((low - corner) / h, -3.0))), -2)
-        last = min(int(np.ceil(min((high - corner) / h, points + 3.0))), points + 1)
-        if last - first > MAX_KNOTS:
-            return -1
-        for k in range(first, last + 1):
-            place = corner + k * h
-            if low < place < high:
-                if count + 1 >= len(found):
-                    return -1
-                found[count] = place
-                count += 1
-    found[count] = high
-    found[: count + 1].sort()
-    kept = 1
-    for k in range(1, count + 1):  # levels share knots
-        if found[k] > found[kept - 1]:
-            found[kept] = found[k]
-            kept += 1
-    return kept
 
 
 @njit(cache=True)
@@ -254,7 +231,7 @@ def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centr
     rounding += 1e-15 * size
     own = 3.0 * rounding
     for axis in range(3):
-        counts[axis] = _knots(lows, spacings, shapes, axis, low[axis], high[axis], knots[axis]) - 1
+        counts[axis] = knots_between(lows[:, axis], spacings, shapes[:, axis], low[axis], high[axis], knots[axis]) - 1
         parts *= max(counts[axis], 0)
     best, clear = np.full(2, -np.inf), np.zeros(64, np.bool_)
     if parts < 1 or parts > MAX_PARTS:

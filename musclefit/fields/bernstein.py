@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-
 MAX_KNOTS = 128
 """Knots along one axis that are told apart; more make the box coarse."""
 

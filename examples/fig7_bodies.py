@@ -92,10 +92,10 @@ def lattice_tets(job: Job) -> tuple[np.ndarray, np.ndarray]:
 def overlaps_in_words(rest: SolidAnatomy, deformed: Anatomy, deformation: Deformation) -> str:
     """New pairs, growth of the old ones and tissue newly outside the skin, as cells of the table."""
     after = solid_anatomy(deformed, progress=QUIET)
-    pairs = check_overlaps(rest, after, mapped=deformation, progress=QUIET).pairs
+    pairs = check_overlaps(rest, after, mapped=deformation.with_jacobian, progress=QUIET).pairs
     new = [p for p in pairs if p.rest_mm3 <= ROUNDING_MM3 and p.introduced_mm3 > ROUNDING_MM3]
     old = [p for p in pairs if p.rest_mm3 > ROUNDING_MM3]
-    outside = check_outside_skin(rest, after, mapped=deformation, progress=QUIET).tissues
+    outside = check_outside_skin(rest, after, mapped=deformation.with_jacobian, progress=QUIET).tissues
     grown = sum(p.introduced_mm3 for p in old) / sum(p.deformed_mm3 for p in old)
     for pair in new:
         print(f"    new: {pair.a} / {pair.b} {pair.introduced_mm3:.2g} mm³")

@@ -74,7 +74,7 @@ def row(method: str, overrides: tuple[str, ...], *, certify: bool, overlaps: boo
     introduced = "not measured"
     if overlaps:
         found = check_overlaps(
-            solid_anatomy(job.anatomy, progress=Silent()), deformed, mapped=deformation, progress=Silent()
+            solid_anatomy(job.anatomy, progress=Silent()), deformed, mapped=deformation.with_jacobian, progress=Silent()
         )
         introduced = f"{sum(pair.introduced_mm3 for pair in found.pairs):.2f} in {len(found.pairs)}"
     missed = np.abs(deformation(job.handles.source) - job.path.position(1.0)).max()

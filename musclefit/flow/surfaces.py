@@ -140,13 +140,15 @@ def _crossing(work: _Work) -> tuple[FaceEdges, Bool]:
 
     What crosses are mostly caps, triangles whose apex almost lies on their longest edge: that edge alone is in the way.
     """
+    crossing = np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)
+    if not len(crossing):
+        return FaceEdges(np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)), np.zeros(0, dtype=bool)
     edges = FaceEdges.of(work.surface.faces)
     a, b = edges.ends.T
     lengths = np.linalg.norm(work.surface.vertices[b] - work.surface.vertices[a], axis=1)
-    faces = edges.of_face[np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)]
+    faces = edges.of_face[crossing]
     marked: Bool = np.zeros(len(edges.ends), dtype=bool)
-    if len(faces):
-        marked[np.take_along_axis(faces, lengths[faces].argmax(axis=1)[:, None], axis=1)] = True
+    marked[np.take_along_axis(faces, lengths[faces].argmax(axis=1)[:, None], axis=1)] = True
     marked &= lengths > SHORTEST_MM
     return edges, marked
 

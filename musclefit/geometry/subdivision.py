@@ -30,9 +30,11 @@ class FaceEdges:
     @classmethod
     def of(cls, faces: Faces) -> FaceEdges:
         """The edges of (f, 3) faces, each once."""
-        directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-        ends, of_face = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-        return cls(ends, of_face.reshape(-1, 3))
+        following = np.roll(faces, -1, axis=1)
+        span = int(faces.max(initial=0)) + 1
+        keys = np.minimum(faces, following) * span + np.maximum(faces, following)  # far quicker than unique rows
+        found, of_face = np.unique(keys, return_inverse=True)
+        return cls(np.stack([found // span, found % span], axis=1), of_face.reshape(-1, 3))
 
 
 def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
+from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.volumes import enclosed_volume
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import MeshReport, TissueSummary
@@ -32,7 +35,7 @@ def inspect(
     progress = progress or Silent()
     solids = solid_anatomy(anatomy, progress=progress)
     overlaps = rest_overlaps(solids, progress=progress)
-    outside = check_outside_skin(solids, solids, mapped=lambda points: points, progress=progress)
+    outside = check_outside_skin(solids, solids, mapped=_same, progress=progress)
     beyond = {tissue.name: tissue.rest_mm3 for tissue in outside.tissues}
     tissues = tuple(
         TissueSummary(
@@ -52,3 +55,8 @@ def inspect(
         findings=tuple(findings),
         overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
     )
+
+
+def _same(points: Points) -> tuple[Points, Gradients]:
+    """Nothing moves."""
+    return points, np.broadcast_to(np.eye(3), (len(points), 3, 3))

@@ -211,9 +211,9 @@ class _Finisher:
                 job.handles.names, arrived=deformation(job.handles.source), targets=job.path.position(1.0)
             )
             after = solid_anatomy(moved.deformed, progress=self.progress)
-            outside = check_outside_skin(self.rest, after, mapped=deformation, progress=self.progress)
+            outside = check_outside_skin(self.rest, after, mapped=deformation.with_jacobian, progress=self.progress)
             tick(0.6)
-            overlaps = check_overlaps(self.rest, after, mapped=deformation, progress=self.progress)
+            overlaps = check_overlaps(self.rest, after, mapped=deformation.with_jacobian, progress=self.progress)
             tick(0.9)
             side = Side(
                 method=method,

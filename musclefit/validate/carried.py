@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from musclefit.geometry.arrays import Points
+from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import refined_to
+from musclefit.geometry.subdivision import FaceEdges, split_edges
 from musclefit.geometry.volumes import area_vectors, enclosed_volume
 
 SETTLED_MM3 = 0.02
 """A mapped volume is settled when the last refinement changed it by less than this (or by SETTLED_RELATIVE), mm³.
 
-Measured on 270 overlaps of a segmented forearm that was flexed: a limit of 0.05 left 0.011 mm³ at most and 0.02 mm³ in
-sum, against a limit of 0.002.
+Measured on 3,075 overlaps of a whole body that grew heavier: this limit left 0.004 mm³ at most and 0.11 mm³ in sum,
+against a limit of 0.002.
 """
 SETTLED_RELATIVE = 1e-6
 """See SETTLED_MM3; matters only from 20,000 mm³ on."""
@@ -29,8 +31,8 @@ START_EDGE_MM = 5.0
 MAX_TRIANGLES = 1_000_000
 """A surface is never refined beyond this many triangles."""
 
-Mapped = Callable[[Points], Points]
-"""The whole map, rest to deformed: (N, 3) mm -> (N, 3) mm."""
+Mapped = Callable[[Points], tuple[Points, Gradients]]
+"""The whole map, rest to deformed: (N, 3) mm -> (N, 3) mm and its (N, 3, 3) Jacobians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +60,11 @@ def carried_volumes(
 ) -> tuple[CarriedVolume, ...]:
     r"""Volumes enclosed by closed surfaces after a map, refining each surface until its volume settles.
 
-    Each level halves all edges. The volume of a polyhedron with mapped vertices is off by a series in even powers of
-    the edge length for a smooth map, so the levels are extrapolated (Romberg):
-    :math:`R_{k,0} = V_k,\; R_{k,j} = R_{k,j-1} + (R_{k,j-1} - R_{k-1,j-1}) / (4^j - 1)`.
+    The map's Jacobians J at the ends of an edge e say where its middle goes, by a cubic through both:
+    :math:`(y_0 + y_1) / 2 + (J_0 - J_1) e / 8`, off by a fourth power of the edge's length. So each level of vertices
+    gives two volumes, V of its triangles and V' of those cut in four, both off by a square of the length, and
+    :math:`V' + \tfrac{1}{3} (V' - V)` is off by a fourth power. Where that differs too much from the level before (the
+    first one: from its own V'), all edges are halved and the new vertices mapped.
 
     Parameters
     ----------
@@ -69,7 +73,7 @@ def carried_volumes(
     against : sequence of float
         What each volume will be compared with, mm³: the farther it is from that, the less exact it need be.
     mapped : callable
-        Called once per level and batch with the vertices of all surfaces that have not settled.
+        Called once per level and batch with the new vertices of all surfaces that have not settled.
     tick : callable
         Told the fraction of surfaces that have settled.
 
@@ -77,11 +81,7 @@ def carried_volumes(
     -------
     tuple of CarriedVolume
         In the order of ``surfaces``. ``last_change_mm3`` is an estimate of the error, no bound; it is infinite where a
-        surface could not be refined at all.
-
-    References
-    ----------
-    W. Romberg, Det Kgl. Norske Videnskabers Selskab Forhandlinger 28 (1955) 30.
+        surface is too large to cut its long edges.
     """
     found = [CarriedVolume(np.nan, np.inf)] * len(surfaces)
     for batch in _batches(surfaces):
@@ -101,61 +101,67 @@ def _batches(surfaces: Sequence[TriMesh]) -> list[range]:
     return [range(a, b) for a, b in zip(starts, [*starts[1:], len(surfaces)], strict=True) if b > a]
 
 
+@dataclass(slots=True)
+class _Level:
+    """A surface at rest, as fine as it is by now, and where the map takes its vertices."""
+
+    surface: TriMesh
+    edges: FaceEdges
+    moved: Points
+    slopes: Gradients
+
+    def middles(self) -> Points:
+        """(e, 3) places to which the map takes the middles of the edges, as the slopes at their ends have it."""
+        a, b = self.edges.ends.T
+        along = self.surface.vertices[b] - self.surface.vertices[a]
+        bend = np.einsum("eij,ej->ei", self.slopes[a] - self.slopes[b], along)
+        middles: Points = 0.5 * (self.moved[a] + self.moved[b]) + 0.125 * bend
+        return middles
+
+
 def _refine(
     batch: range, surfaces: Sequence[TriMesh], found: list[CarriedVolume], *, against: Sequence[float], mapped: Mapped
 ) -> None:
     """Refine the surfaces of one batch until their volumes, put into ``found``, have settled."""
-    finer = {i: _started(surfaces[i]) for i in batch}
-    tableaus: dict[int, list[float]] = {i: [] for i in batch}
-    while finer:
-        for i, moved in zip(finer, _moved(list(finer.values()), mapped), strict=True):
-            before = found[i].volume_mm3
-            tableaus[i] = _next_romberg_row(tableaus[i], enclosed_volume(moved))
-            change = np.inf if np.isnan(before) else abs(tableaus[i][-1] - before)
-            found[i] = CarriedVolume(tableaus[i][-1], float(change), SETTLED_SHARE * abs(tableaus[i][-1] - against[i]))
-        finer = {
-            i: halved(surface)
-            for i, surface in finer.items()
-            if not found[i].settled and 4 * len(surface.faces) <= MAX_TRIANGLES
-        }
-
-
-def halved(mesh: TriMesh) -> TriMesh:
-    """The same surface with every triangle split in four at the middles of its edges."""
-    directed = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    low, high, span = directed.min(axis=1), directed.max(axis=1), len(mesh.vertices)
-    keys, edge_of = np.unique(low * span + high, return_inverse=True)  # far quicker than unique rows
-    edges = np.stack([keys // span, keys % span], axis=1)
-    ab, bc, ca = (len(mesh.vertices) + edge_of.reshape(-1, 3)).T
-    a, b, c = mesh.faces.T
-    corners = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return TriMesh(
-        np.concatenate([mesh.vertices, mesh.vertices[edges].mean(axis=1)]),
-        np.concatenate([np.stack(corner, axis=1) for corner in corners]),
-    )
-
-
-def _next_romberg_row(row: Sequence[float], volume: float) -> list[float]:
-    new = [volume]
-    for j, coarser in enumerate(row, start=1):
-        new.append(new[-1] + (new[-1] - coarser) / (4.0**j - 1.0))
-    return new
+    levels = {i: _first_level(surfaces[i]) for i in batch}
+    while levels:
+        _move_new(list(levels.values()), mapped)
+        finer = {}
+        for i, level in levels.items():
+            halved = split_edges(level.surface, level.edges, np.ones(len(level.edges.ends), dtype=bool))
+            coarse = enclosed_volume(level.surface.with_vertices(level.moved))
+            fine = enclosed_volume(halved.with_vertices(np.concatenate([level.moved, level.middles()])))
+            volume = fine + (fine - coarse) / 3.0
+            before = fine if np.isnan(found[i].volume_mm3) else found[i].volume_mm3
+            change = abs(volume - before) if _expected_triangles(surfaces[i]) <= MAX_TRIANGLES else np.inf
+            found[i] = CarriedVolume(volume, change, SETTLED_SHARE * abs(volume - against[i]))
+            if not found[i].settled and len(halved.faces) <= MAX_TRIANGLES:
+                finer[i] = _Level(halved, FaceEdges.of(halved.faces), level.moved, level.slopes)
+        levels = finer
 
 
 def _settled_mm3(volume: float) -> float:
     return max(SETTLED_MM3, SETTLED_RELATIVE * abs(volume))
 
 
-def _moved(surfaces: Sequence[TriMesh], mapped: Mapped) -> list[TriMesh]:
-    """The surfaces with mapped vertices, in one call of the map."""
-    counts = [len(s.vertices) for s in surfaces]
-    moved = mapped(np.concatenate([s.vertices for s in surfaces]))
-    parts = np.split(moved, np.cumsum(counts)[:-1])
-    return [s.with_vertices(part) for s, part in zip(surfaces, parts, strict=True)]
+def _move_new(levels: Sequence[_Level], mapped: Mapped) -> None:
+    """Map the vertices that are new, of all surfaces in one call."""
+    fresh = [level.surface.vertices[len(level.moved) :] for level in levels]
+    moved, slopes = mapped(np.concatenate(fresh))
+    ends = np.cumsum([len(part) for part in fresh])[:-1]
+    for level, more, steeper in zip(levels, np.split(moved, ends), np.split(slopes, ends), strict=True):
+        level.moved = np.concatenate([level.moved, more])
+        level.slopes = np.concatenate([level.slopes, steeper])
 
 
-def _started(surface: TriMesh) -> TriMesh:
+def _first_level(surface: TriMesh) -> _Level:
     """The surface without long edges; as it is where it is too large for that."""
+    if _expected_triangles(surface) <= MAX_TRIANGLES:
+        surface = refined_to(surface, edge_length_mm=START_EDGE_MM)
+    return _Level(surface, FaceEdges.of(surface.faces), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+
+
+def _expected_triangles(surface: TriMesh) -> float:
+    """About as many as there are without long edges."""
     area = float(np.linalg.norm(area_vectors(surface), axis=1).sum())
-    expected = len(surface.faces) + 2.0 * area / (np.sqrt(3.0) / 4.0 * START_EDGE_MM**2)
-    return refined_to(surface, edge_length_mm=START_EDGE_MM) if expected <= MAX_TRIANGLES else surface
+    return len(surface.faces) + area / (math.sqrt(3.0) / 8.0 * START_EDGE_MM**2)

@@ -106,7 +106,8 @@ def check_overlaps(
     rest, deformed : Anatomy or SolidAnatomy
         The same tissues before and after. Give `solid_anatomy` of the rest when it is checked against many poses.
     mapped : callable
-        The map of space that made ``deformed`` from ``rest``, (N, 3) mm -> (N, 3) mm; carries the rest overlap along.
+        The map of space that made ``deformed`` from ``rest``, (N, 3) mm -> (N, 3) mm and its (N, 3, 3) Jacobians;
+        carries the rest overlap along.
 
     Returns
     -------
@@ -154,7 +155,7 @@ def check_outside_skin(
     rest, deformed : Anatomy or SolidAnatomy
         The same tissues before and after.
     mapped : callable
-        The map of space that made ``deformed`` from ``rest``; carries along what was outside at rest.
+        As for `check_overlaps`; carries along what was outside at rest.
 
     Returns
     -------

@@ -15,6 +15,7 @@ from musclefit.anatomy.fits import TissueFit
 from musclefit.anatomy.layers import FILLER
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
+from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, checks_against
 from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
@@ -235,13 +236,14 @@ def _off_limit(tissue: TissueCheck, report: Report) -> tuple[str, ...]:
 
 
 def _pair_rows(report: Report) -> list[_PairRow]:
-    """Every pair that overlaps on either side, largest introduced first."""
+    """Every pair that overlaps on either side: those apart at rest, then the others, largest introduced first."""
     result = {(p.a, p.b): p for p in report.result.overlaps.pairs}
     baseline = {} if report.baseline is None else {(p.a, p.b): p for p in report.baseline.overlaps.pairs}
     rows = [_PairRow(a, b, result.get((a, b)), baseline.get((a, b))) for a, b in {**result, **baseline}]
 
-    def rank(row: _PairRow) -> tuple[tuple[float, float], ...]:
-        return tuple(
+    def rank(row: _PairRow) -> tuple[bool, *tuple[tuple[float, float], ...]]:
+        apart = row.result is not None and row.result.rest_mm3 <= ROUNDING_MM3
+        return not apart, *(
             (1.0, 0.0) if side is None else (_largest_first(side.introduced_mm3), _largest_first(side.deformed_mm3))
             for side in (row.result, row.baseline)
         )

@@ -124,14 +124,16 @@ def test_what_is_missing_is_told(make_report, make_side, make_tissue):
         assert told in text
 
 
-def test_pairs_of_both_sides_are_listed_largest_first(make_report, make_side):
-    result = make_side(overlaps=OverlapCheck((PairOverlap("a", "b", 0, 1, 1), PairOverlap("c", "d", 0, 5, 5)), 9, ()))
+def test_pairs_apart_at_rest_are_listed_first_then_the_largest_of_both_sides(make_report, make_side):
+    grown, new = PairOverlap("g", "h", 10, 99, 80), (PairOverlap("a", "b", 0, 1, 1), PairOverlap("c", "d", 0, 5, 5))
+    result = make_side(overlaps=OverlapCheck((grown, *new), 9, ()))
     baseline = make_side(overlaps=OverlapCheck((PairOverlap("e", "f", 0, 70, 70),), 9, ()))
     page = render_html(make_report(result=result, baseline=baseline), pictures={})
     section = page[page.index("<h2>Overlapping pairs") : page.index("<h2>Tissues")]
     assert re.findall(r'<td class="name">(.)</td><td class="name">(.)</td>', section) == [
         ("c", "d"),
         ("a", "b"),
+        ("g", "h"),
         ("e", "f"),
     ]
 

@@ -1,4 +1,4 @@
-"""Bones that keep their shape under a map of the whole body: each gets the motion that fits the map best, and compact
+"""Bones that keep their shape under a map of the whole body: each gets the motion that fits the map best, and local
 corrections after the map's steps bring the field into line with it, so that what is attached to a bone stays on it.
 
 Unlike bones that joints move (`flow.bones`), nobody prescribes where these go: the map says where, the limit how.
@@ -15,30 +15,26 @@ from scipy.spatial import cKDTree
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.fields.compact import CompactBackend
+from musclefit.fields.lattice_fit import LatticeBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import StepMaker
 from musclefit.flow.steps import CayleyStep, Step
 from musclefit.geometry.arrays import Bool, Float, Points
-from musclefit.geometry.distances import thinned
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.similar import Similarity
 from musclefit.geometry.subdivision import with_short_edges
 from musclefit.progress import Progress
 from musclefit.rig.model import BoneLimit
 
-CORRECTION_KERNEL = "wendland-c2"
-CORRECTION_TOLERANCE = 0.01
-"""Share of a correction's residual that its iteration may leave; the next level takes it up."""
+ITERATIONS, MISSED_MM = 40, 0.003
+"""Of a correction's least squares at most, and the root mean square of what it may miss, at which it ends sooner."""
 
-SPACING_SHARE = 0.13
-"""Sources of a correction stand this share of its support apart: as many as it can tell apart."""
+HANDLE_KERNEL, HANDLE_SUPPORT_MM = "wendland-c2", 20.0
+"""Of the correction that puts the handles back exactly, from where the one for the bones leaves them."""
 
-FINEST_MM = 1.0
-"""Sources of the last correction stand this far apart."""
-
-SAMPLED_MM = 3.0
+SAMPLED_MM = 5.0
 """Longest edge of the bones' surfaces where the field is held to them."""
 
 _FITS: Mapping[BoneLimit, Callable[[Points, Points], Similarity]] = MappingProxyType(
@@ -124,7 +120,7 @@ def keeping_bones(
     *,
     handles: Points,
     tested: Points,
-    supports_mm: Sequence[float],
+    lattices_mm: Sequence[float],
     pace: Pace,
     progress: Progress,
 ) -> Deformation:
@@ -138,17 +134,13 @@ def keeping_bones(
         At rest.
     tested : (N, 3) float64, mm
         Points at rest where the rule is tested.
-    supports_mm : sequence of float
-        Of the corrections, wide to narrow.
+    lattices_mm : sequence of float
+        Spacings of the corrections' lattices, wide to narrow.
 
     Returns
     -------
     Deformation
         The records of the corrections go on from 1: they cover (1, 2] of the path.
-
-    References
-    ----------
-    M. Floater and A. Iske, J. Comput. Appl. Math. 73 (1996) 65 (coarse to fine).
     """
     if deformation.status is not Status.CONVERGED or not sum(len(bone.exposed) for bone in bones):
         return deformation
@@ -156,7 +148,8 @@ def keeping_bones(
     targets = np.concatenate([bone.motion(bone.exposed) for bone in bones])
     starts = deformation(np.concatenate([tested, handles, rest]))
     held = starts[len(tested) :]
-    stepper = _KeptStepper(held, np.concatenate([held[: len(handles)], targets]), len(handles), tuple(supports_mm))
+    goals = np.concatenate([held[: len(handles)], targets])
+    stepper = _KeptStepper(held, goals, len(handles), LatticeBackend(tuple(lattices_mm), MISSED_MM, ITERATIONS))
     more = march(stepper, rule=cayley_fractions, tested=starts, pace=pace, progress=progress)
     records = tuple(replace(record, start=1.0 + record.start, end=1.0 + record.end) for record in more.records)
     return Deformation((*deformation.steps, *more.steps), (*deformation.records, *records), more.status)
@@ -180,7 +173,7 @@ class _KeptStepper:
     starts: Points
     goals: Points
     handles: int
-    supports_mm: tuple[float, ...]
+    backend: LatticeBackend
 
     @property
     def shortens_exactly(self) -> bool:
@@ -192,29 +185,16 @@ class _KeptStepper:
         return np.zeros((0, 3))
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:  # noqa: ARG002
-        """Corrections wide to narrow, then one that puts the handles exactly."""
+        """One step that holds the bones, then one that puts the handles exactly."""
         goals = (1.0 - end) * self.starts + end * self.goals
-        for number, support in enumerate(self.supports_mm):
-            last = number == len(self.supports_mm) - 1
-            yield self._correction(goals, support, FINEST_MM if last else SPACING_SHARE * support)
-        yield self._exact(goals)
 
-    def _correction(self, goals: Points, support: float, spacing: float) -> StepMaker:
-        backend = CompactBackend(CORRECTION_KERNEL, support, tolerance=CORRECTION_TOLERANCE)
-
-        def make(tested: Points, _anchors: Points) -> Step:
+        def hold(tested: Points, _anchors: Points) -> Step:
             held = tested[-len(goals) :]
-            kept = thinned(held, spacing_mm=spacing)
-            missed = goals[kept] - held[kept]
-            return CayleyStep(backend.fit(held[kept] + 0.5 * missed, missed))
+            middles, missed = 0.5 * (held + goals), goals - held
+            return CayleyStep(self.backend.fit(middles, missed, around=middles[self.handles :]))
 
-        return make
-
-    def _exact(self, goals: Points) -> StepMaker:
-        backend = CompactBackend(CORRECTION_KERNEL, self.supports_mm[-1])
-
-        def make(tested: Points, _anchors: Points) -> Step:
+        def put(tested: Points, _anchors: Points) -> Step:
             now, there = tested[-len(goals) :][: self.handles], goals[: self.handles]
-            return CayleyStep(backend.fit(0.5 * (now + there), there - now))
+            return CayleyStep(CompactBackend(HANDLE_KERNEL, HANDLE_SUPPORT_MM).fit(0.5 * (now + there), there - now))
 
-        return make
+        return hold, put

@@ -97,7 +97,7 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
         kept,
         handles=job.handles.source,
         tested=points,
-        supports_mm=bones.supports_mm,
+        lattices_mm=bones.kept_lattices_mm,
         pace=Pace(settings.max_steps, 1, settings.limit_share),
         progress=progress,
     )

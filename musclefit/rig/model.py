@@ -304,9 +304,9 @@ class BoneSettings:
     """Whether bones are moved by their rigid motions and the field brought to agree with them, and how.
 
     ``handle_spacing_mm`` is how far apart the handles are that are spread over the bones beside the rig's landmarks.
-    ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones, ``supports_mm``
-    the supports of the compact corrections that hold kept ones, wide to narrow. Places of a bone that come closer than
-    ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along the bone.
+    ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones,
+    ``kept_lattices_mm`` those of the corrections that hold kept ones, wide to narrow. Places of a bone that come closer
+    than ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along it.
 
     Where no joint moves them, ``keep_rigid`` and ``keep_similar`` name bones (or shell-style patterns) that may only
     move rigidly, or only move and change their size: each gets the motion that fits the map best, and the field is
@@ -315,13 +315,13 @@ class BoneSettings:
     Raises
     ------
     RigError
-        A length that is not positive and finite, supports or spacings that rise, or bones kept both ways.
+        A length that is not positive and finite, spacings that rise, or bones kept both ways.
     """
 
     rigid: bool = False
     handle_spacing_mm: float = 12.0
     lattices_mm: tuple[float, ...] = (6.0, 3.0, 1.5)
-    supports_mm: tuple[float, ...] = (50.0, 20.0, 10.0)
+    kept_lattices_mm: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
     contact_zone_mm: float = 4.0
     keep_rigid: tuple[str, ...] = ()
     keep_similar: tuple[str, ...] = ()
@@ -333,7 +333,7 @@ class BoneSettings:
                 "remove them"
             )
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
-        widths = {"lattices_mm": self.lattices_mm, "supports_mm": self.supports_mm}
+        widths = {"lattices_mm": self.lattices_mm, "kept_lattices_mm": self.kept_lattices_mm}
         each = [(key, value) for key, values in widths.items() for value in values]
         for key, value in (*lengths.items(), *each):
             if not 0.0 < value < math.inf:

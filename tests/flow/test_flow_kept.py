@@ -31,7 +31,7 @@ target = "target.ply"
 kernel = "r3"
 step = "cayley"
 [bones]
-supports_mm = [40, 15, 6]
+kept_lattices_mm = [24, 12, 6, 3]
 keep_rigid = ["bone_long"]
 keep_similar = ["bone_*"]
 [certificate]

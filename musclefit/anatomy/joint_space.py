@@ -13,7 +13,7 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
-from musclefit.geometry.arrays import Bool, Float, Points
+from musclefit.geometry.arrays import Bool, Float, Points, Tets
 from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.rigid import RigidMotion
@@ -44,8 +44,9 @@ def without_joint_space(tets: TetAnatomy, sliding: SlidingBones, *, zone_mm: flo
     tets : TetAnatomy
     sliding : SlidingBones
     zone_mm : float
-        A tet of filler is joint space when, in one of the poses, its barycentre is so close to two bones of different
-        groups that the two distances add up to at most this. On the way it is taken to ride on the first of the two.
+        A tet of filler is joint space when, in one of the poses, a corner or its barycentre is so close to two bones
+        of different groups that the two distances add up to at most this. On the way it is taken to ride on the first
+        of the two. So is one with corners on bones of two groups, of any size: nothing in it could give way.
 
     Returns
     -------
@@ -57,8 +58,14 @@ def without_joint_space(tets: TetAnatomy, sliding: SlidingBones, *, zone_mm: flo
     if skin is None or len(sliding.groups) < 2:
         return tets
     filler = np.flatnonzero(tets.tissue_of_tet == skin)
-    barycentres = tets.mesh.vertices[tets.mesh.tets[filler]].mean(axis=1)
-    between = filler[_between(barycentres, tets.anatomy, sliding, zone_mm=zone_mm)]
+    corners = tets.mesh.tets[filler]
+    near = np.zeros(len(tets.mesh.vertices), dtype=bool)
+    used = np.unique(corners)
+    near[used] = _between(tets.mesh.vertices[used], tets.anatomy, sliding, zone_mm=zone_mm)
+    chosen = near[corners].any(axis=1) | _bridging(tets, corners, sliding)
+    barycentres = tets.mesh.vertices[corners[~chosen]].mean(axis=1)
+    chosen[~chosen] = _between(barycentres, tets.anatomy, sliding, zone_mm=zone_mm)
+    between = filler[chosen]
     if not len(between):
         return tets
     volumes = signed_volumes(tets.mesh.vertices, tets.mesh.tets[between])
@@ -72,6 +79,17 @@ def without_joint_space(tets: TetAnatomy, sliding: SlidingBones, *, zone_mm: flo
         joint_space_tets=tets.joint_space_tets + len(between),
         joint_space_mm3=tets.joint_space_mm3 + float(volumes.sum()),
     )
+
+
+def _bridging(tets: TetAnatomy, corners: Tets, sliding: SlidingBones) -> Bool:
+    """Which tets have corners on bones of more than one group."""
+    groups = np.zeros(len(corners), dtype=np.int64)
+    for bones in sliding.groups:
+        labels = [k for k, tissue in enumerate(tets.anatomy) if tissue.name in bones]
+        on_bone = np.zeros(len(tets.mesh.vertices), dtype=bool)
+        on_bone[tets.mesh.tets[np.isin(tets.tissue_of_tet, labels)]] = True
+        groups += on_bone[corners].any(axis=1)
+    return groups > 1
 
 
 def _between(points: Points, anatomy: Anatomy, sliding: SlidingBones, *, zone_mm: float) -> Bool:

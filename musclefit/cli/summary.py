@@ -71,7 +71,14 @@ def _mesh_claim(report: Report) -> str:
     wrong = f"{cut.inverted_before} tets had come out inverted" if cut.inverted_before else "its boundary had crossed"
     rounds = "1 round" if cut.rounds == 1 else f"{cut.rounds} rounds"
     stopped = f"; ended by {cut.stopped}" if cut.stopped else ""
-    return f"{told}; {cut.edges_split} edges split in {rounds}, for {wrong}{stopped}"
+    done = f"{cut.edges_split} edges split in {rounds}" if cut.rounds else ""
+    if cut.moving_rounds:
+        farthest = max((far for _, _, far in cut.moved_aside), default=0.0)
+        moved = f"vertices moved aside by up to {farthest:.3g} mm in {cut.moving_rounds} rounds"
+        if cut.left_out:
+            moved += f" and {cut.left_out} tets of filler ({cut.left_out_mm3:.4g} mm³) left out"
+        done = f"{done}, {moved}" if done else moved
+    return f"{told}; {done}, for {wrong}{stopped}"
 
 
 def _print_failed(console: Console, checks: tuple[Check, ...]) -> None:

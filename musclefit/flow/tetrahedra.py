@@ -1,13 +1,14 @@
-"""Tets as fine as a map needs: edges of tets that come out wrong are split, new vertices go through the map."""
+"""Tets as a map needs them: edges of tets that come out wrong are split, or their vertices moved aside."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.flow.relocation import MovedAside, relocated_tets
 from musclefit.geometry.arrays import Float, Int, Points, Tets
 from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TetMesh, TriMesh
@@ -41,6 +42,12 @@ class CarriedTets:
         0 unless a bound was met. Crossings are counted only where no tet is inverted.
     stopped : str
         Which bound ended it, in words; empty when nothing was left to do.
+    moving_rounds : int
+        Of moving vertices aside (`mended_tets`), after which ``vertices`` are no longer all where the map takes them.
+    moved_aside : tuple of MovedAside
+    left_out : int
+        Tets of filler between held bones that were left out of ``rest``.
+    left_out_mm3 : float
     """
 
     rest: TetAnatomy
@@ -54,6 +61,10 @@ class CarriedTets:
     inverted_left: int
     crossings_left: int
     stopped: str = ""
+    moving_rounds: int = 0
+    moved_aside: tuple[MovedAside, ...] = ()
+    left_out: int = 0
+    left_out_mm3: float = 0.0
 
 
 _ALL_WELL = (0, 0)
@@ -87,6 +98,66 @@ class _Work:
     def wrong(self) -> tuple[int, int]:
         """Inverted tets, and pairs of boundary triangles that cross; fewer of the first is better."""
         return len(self.inverted), len(self.crossing)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HeldBones:
+    """Bones that one motion takes exactly to where they must be, whatever the map does."""
+
+    names: tuple[str, ...]
+    motion: Map
+
+
+def mended_tets(carried: CarriedTets, held: Sequence[HeldBones], *, progress: Progress) -> CarriedTets:
+    """Put held bones exactly where they must be, and move other vertices aside where tets are wrong then.
+
+    Parameters
+    ----------
+    carried : CarriedTets
+    held : sequence of HeldBones
+        Vertices of their tets stand where the motions take them; a vertex that two of them share stays with the map.
+    progress : Progress
+
+    Returns
+    -------
+    CarriedTets
+        As given where nothing is held and moving left no fewer places wrong.
+    """
+    bone = _held_by(carried.rest, held)
+    wanted = np.array(carried.vertices)
+    for number, bones in enumerate(held):
+        wanted[bone == number] = bones.motion(carried.rest.mesh.vertices[bone == number])
+    found = relocated_tets(carried.rest, wanted, bone=bone, progress=progress)
+    before, left = found.inverted_before + found.crossings_before, found.inverted_left + found.crossings_left
+    if before and left >= before and not held:
+        return replace(carried, stopped=f"{found.rounds} rounds of moving vertices")
+    return replace(
+        carried,
+        rest=found.rest,
+        vertices=found.vertices,
+        inverted_before=carried.inverted_before or found.inverted_before,
+        crossings_before=carried.crossings_before or found.crossings_before,
+        inverted_left=found.inverted_left,
+        crossings_left=found.crossings_left,
+        stopped=f"{found.rounds} rounds of moving vertices" if left else "",
+        moving_rounds=found.rounds,
+        moved_aside=found.moved_aside,
+        left_out=found.left_out,
+        left_out_mm3=found.left_out_mm3,
+    )
+
+
+def _held_by(rest: TetAnatomy, held: Sequence[HeldBones]) -> Int:
+    """(n,) which of the held bones each vertex belongs to; -1 for none or several."""
+    bone = np.full(len(rest.mesh.vertices), -1)
+    several = np.zeros(len(bone), dtype=bool)
+    for number, bones in enumerate(held):
+        labels = [k for k, tissue in enumerate(rest.anatomy) if tissue.name in bones.names]
+        own = np.unique(rest.mesh.tets[np.isin(rest.tissue_of_tet, labels)])
+        several[own] |= bone[own] >= 0
+        bone[own] = number
+    bone[several] = -1
+    return bone
 
 
 def moved_tets(rest: TetAnatomy, where: Map) -> CarriedTets:

@@ -19,7 +19,7 @@ from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, kept_residuals
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surfaces import Carried, carried, carried_finely
-from musclefit.flow.tetrahedra import CarriedTets, carried_tets, moved_tets
+from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.deformers import (
@@ -205,7 +205,7 @@ class _Finisher:
         moved = self._moved(deformed)
         with self.progress.stage(stage) as tick:
             of_map = self._map(deformation, moved, rule_in_words(job.rig.deformer))
-            tets = self._tets(deformation, of_map)
+            tets = self._tets(deformed, of_map)
             tick(0.2)
             landmarks = check_landmarks(
                 job.handles.names, arrived=deformation(job.handles.source), targets=job.path.position(1.0)
@@ -266,19 +266,30 @@ class _Finisher:
         )
         return replace(moved, deformed=Anatomy(tissues, moved.deformed.frame))
 
-    def _tets(self, deformation: Deformation, of_map: MapCheck) -> CarriedTets | None:
-        """The tets moved by the map, cut finer where that is asked for and the map is not the one to blame."""
+    def _tets(self, deformed: Deformed, of_map: MapCheck) -> CarriedTets | None:
+        """The tets moved, and mended where that is asked for and the map is not the one to blame.
+
+        Where bones are held, no edge is split: what is wrong there is that tissue slips along bone, however small the
+        tets.
+        """
         if self.tets is None:
             return None
-        if not self.mesh.refine or of_map.claim is MapClaim.REFUTED:
+        deformation, mesh, held = deformed.deformation, self.mesh, _held_bones(self.job, deformed)
+        if not mesh.refine or of_map.claim is MapClaim.REFUTED:
             return moved_tets(self.tets, deformation)
-        return carried_tets(
-            self.tets,
-            deformation,
-            max_rounds=self.mesh.max_rounds,
-            max_growth=self.mesh.max_growth,
-            progress=self.progress,
-        )
+        if held:
+            moved = replace(moved_tets(self.tets, deformation), stopped="")
+        else:
+            moved = carried_tets(
+                self.tets,
+                deformation,
+                max_rounds=mesh.max_rounds,
+                max_growth=mesh.max_growth,
+                progress=self.progress,
+            )
+        if mesh.move_vertices and (held or moved.stopped):
+            moved = mended_tets(moved, held, progress=self.progress)
+        return moved
 
     def _map(self, deformation: Deformation, moved: Carried, rule: str) -> MapCheck:
         """The sampled check, and above it the proof where the rig asks for one."""
@@ -324,7 +335,7 @@ class _Finisher:
 def _mesh(tets: CarriedTets) -> MeshCheck:
     """The moved tets judged, with what was done to them."""
     check = check_tets(tets.rest, tets.vertices)
-    if not tets.rounds:
+    if not (tets.rounds or tets.moving_rounds):
         return check
     refinement = MeshRefinement(
         rounds=tets.rounds,
@@ -334,6 +345,10 @@ def _mesh(tets: CarriedTets) -> MeshCheck:
         crossings_before=tets.crossings_before,
         cut_by_tissue=tets.cut_by_tissue,
         stopped=tets.stopped,
+        moving_rounds=tets.moving_rounds,
+        moved_aside=tuple((aside.tissue, aside.vertices, aside.farthest_mm) for aside in tets.moved_aside),
+        left_out=tets.left_out,
+        left_out_mm3=tets.left_out_mm3,
     )
     return replace(check, refinement=refinement)
 
@@ -356,6 +371,13 @@ def _refuse_colliding_bones(job: Job, progress: Progress) -> None:
         f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the joints, or let the bones "
         "deform (bones.rigid = false)"
     )
+
+
+def _held_bones(job: Job, deformed: Deformed) -> tuple[HeldBones, ...]:
+    """The bones that the tets must follow exactly, those of one motion together."""
+    motions = _final_motions(job)
+    together = tuple(HeldBones(group.bones, motions[group.bones[0]]) for group in deformed.groups)
+    return together + tuple(HeldBones((bone.name,), bone.motion) for bone in deformed.kept)
 
 
 def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:

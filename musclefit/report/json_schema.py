@@ -218,6 +218,12 @@ def _worst_tet() -> Schema:
 
 def _refinement() -> Schema:
     by_tissue = {"name": _text("Name of the tissue."), "cut": _count("Tetrahedra given that were cut.")}
+    aside = {
+        "name": _text("Name of the tissue."),
+        "vertices": _count("Of its tetrahedra; those that tissues share count for each."),
+        "farthest_mm": _number("The farthest from where the map, or a held bone's motion, takes it, mm."),
+    }
+    space = {"tets": _count("Tetrahedra left out."), "volume_mm3": _number("Their volume, mm³.")}
     properties = {
         "rounds": _count("Rounds of splitting edges."),
         "edges_split": _count("Edges split; all tetrahedra around each were cut in two."),
@@ -226,6 +232,9 @@ def _refinement() -> Schema:
         "crossings_before": _count("Crossing pairs of boundary triangles, counted where no tetrahedron was inverted."),
         "cut_by_tissue": _list(_record(by_tissue, "One tissue."), "Where tetrahedra were cut."),
         "stopped": _text("Which bound ended the rounds before all was well; empty when all was."),
+        "moving_rounds": _count("Rounds of moving vertices aside."),
+        "moved_aside": _list(_record(aside, "One tissue."), "Vertices moved off the map by more than 0.01 mm."),
+        "left_out": _record(space, "Filler between held bones that had no valid place."),
     }
     return _record(properties, "What was split because tetrahedra came out wrong though the map is one-to-one.")
 

@@ -196,6 +196,12 @@ def _refinement(found: MeshRefinement) -> Json:
         "crossings_before": int(found.crossings_before),
         "cut_by_tissue": [{"name": name, "cut": int(count)} for name, count in found.cut_by_tissue],
         "stopped": found.stopped,
+        "moving_rounds": int(found.moving_rounds),
+        "moved_aside": [
+            {"name": name, "vertices": int(count), "farthest_mm": _number(far)}
+            for name, count, far in found.moved_aside
+        ],
+        "left_out": {"tets": int(found.left_out), "volume_mm3": _number(found.left_out_mm3)},
     }
 
 

@@ -435,6 +435,8 @@ class MeshSettings:
     rounds and up to ``max_growth`` times the tets given. Tets with an angle between two faces below ``sliver_deg``, or
     above 180 less that, are named before the deformation.
 
+    Where bones are held rigid, or splitting does not end well, ``move_vertices`` moves vertices off the map.
+
     Raises
     ------
     RigError
@@ -442,6 +444,7 @@ class MeshSettings:
     """
 
     refine: bool = True
+    move_vertices: bool = True
     max_rounds: int = 120
     max_growth: float = 1.5
     sliver_deg: float = 1.0

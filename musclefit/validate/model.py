@@ -71,6 +71,8 @@ class MeshRefinement:
 
     ``cut_by_tissue`` counts the tets given that were cut, most first. ``stopped`` says which bound ended the rounds
     before all was well; empty when all was. Crossings are those of the boundary, counted once no tet is inverted.
+    ``moved_aside`` are tissues, how many of their vertices were moved off the map, and the farthest of them, mm, in
+    ``moving_rounds`` rounds; ``left_out`` tets of filler between bones had no valid place at all.
     """
 
     rounds: int
@@ -80,6 +82,10 @@ class MeshRefinement:
     crossings_before: int
     cut_by_tissue: tuple[tuple[str, int], ...]
     stopped: str = ""
+    moving_rounds: int = 0
+    moved_aside: tuple[tuple[str, int, float], ...] = ()
+    left_out: int = 0
+    left_out_mm3: float = 0.0
 
 
 MESH_THEOREM = (

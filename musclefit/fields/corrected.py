@@ -8,12 +8,16 @@ from typing import Self
 import numpy as np
 
 from musclefit.fields import enclosures
+from musclefit.fields.ceilings import GRADIENT, STRAIN
 from musclefit.fields.rbf import RadialField
 from musclefit.fields.solenoidal import SolenoidalField
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
 
 ROUNDING = 1e-13
 """Of computed eigenvalues, in units of the sum of a matrix's entries."""
+
+WEAK = 0.02
+"""Where no eigenvalue of the local part's strain is larger, the radial part is judged alone and this added."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,35 +67,50 @@ class CorrectedField:
 
         As `RadialField.strain_bounds`, which judges the boxes that the local part does not touch.
         """
-        touched = self.local.touched(centres, half_widths)
+        ceilings = self.local.ceilings(centres, half_widths)[:, STRAIN]
         ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
-        if not touched.all():
-            free = self.radial.strain_bounds(centres[~touched], half_widths[~touched], enough=enough)
-            ranges[~touched], middles[~touched] = free
-        if touched.any():
-            gradients, radii = self.radial.gradient_bounds(centres[touched], half_widths[touched])
-            ranges[touched] = self._strain(gradients, radii, centres[touched], half_widths[touched])
-            there = self.gradient(centres[touched])
-            middles[touched] = np.linalg.eigvalsh(0.5 * (there + there.transpose(0, 2, 1)))[:, [0, -1]]
+        weak = ceilings <= WEAK
+        if weak.any():
+            room = (enough[0] + WEAK, enough[1] - WEAK)
+            alone, middles[weak] = self.radial.strain_bounds(centres[weak], half_widths[weak], enough=room)
+            ranges[weak] = _widened(alone, ceilings[weak])
+        if not weak.all():
+            strong = np.flatnonzero(~weak)
+            gradients, radii = self.radial.gradient_bounds(centres[strong], half_widths[strong])
+            found = _ranges_of(gradients, radii + ceilings[strong])
+            more = ~((found[:, 0] >= enough[0]) & (found[:, 1] <= enough[1]))
+            hard = strong[more]
+            found[more] = _narrower(
+                found[more], self._strain(gradients[more], radii[more], centres[hard], half_widths[hard])
+            )
+            ranges[strong] = found
+        touched = ceilings > 0.0
+        there = self.gradient(centres[touched])
+        middles[touched] = np.linalg.eigvalsh(0.5 * (there + there.transpose(0, 2, 1)))[:, [0, -1]]
         return ranges, middles
 
     def strain_ball_bounds(self, centres: Points, radii: Float) -> tuple[Float, Float]:
         """As ``strain_bounds``, over (B,) balls."""
         half_widths = enclosures.cubes(radii, centres.shape[1])
-        touched = self.local.touched(centres, half_widths)
+        ceilings = self.local.ceilings(centres, half_widths)[:, STRAIN]
         ranges, middles = np.empty((len(centres), 2)), np.full((len(centres), 2), np.nan)
-        if not touched.all():
-            ranges[~touched], middles[~touched] = self.radial.strain_ball_bounds(centres[~touched], radii[~touched])
-        if touched.any():
-            gradients, off = self.radial.gradient_ball_bounds(centres[touched], radii[touched])
-            ranges[touched] = self._strain(gradients, off, centres[touched], half_widths[touched])
+        weak = ceilings <= WEAK
+        if weak.any():
+            alone, of_radial = self.radial.strain_ball_bounds(centres[weak], radii[weak])
+            ranges[weak] = _widened(alone, ceilings[weak])
+            middles[weak] = np.where(ceilings[weak, None] > 0.0, np.nan, of_radial)
+        if not weak.all():
+            gradients, off = self.radial.gradient_ball_bounds(centres[~weak], radii[~weak])
+            ranges[~weak] = _narrower(
+                _ranges_of(gradients, off + ceilings[~weak]),
+                self._strain(gradients, off, centres[~weak], half_widths[~weak]),
+            )
         return ranges, middles
 
     def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, n) each, mm."""
         values, radii = self.radial.displacement_bounds(centres, half_widths)
-        gradients, off = self.local.bounds_with(np.zeros((len(centres), 3, 3)), centres, half_widths, strain=False)
-        steepest = (np.linalg.norm(gradients, axis=(1, 2)) + off[:, 0]) * (1.0 + 1e-14)
+        steepest = self.local.ceilings(centres, half_widths)[:, GRADIENT]
         more = steepest * np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14) + self.local.displacement_rounding(
             centres
         )
@@ -117,3 +136,26 @@ class CorrectedField:
         off = (np.where(known, radii, np.inf) + ROUNDING * np.abs(sums).sum(axis=(1, 2)))[:, None]
         ranges: Float = np.concatenate([-found[:, :1] - off, found[:, 1:] + off], axis=1)
         return ranges
+
+
+def _widened(ranges: Float, by: Float) -> Float:
+    """Ranges of eigenvalues of sums with symmetric matrices whose eigenvalues are at most ``by`` (B,) in size."""
+    wider: Float = np.stack([ranges[:, 0] - by, ranges[:, 1] + by], axis=1)
+    wider += 1e-15 * np.abs(wider) * np.array([-1.0, 1.0])
+    return wider
+
+
+def _ranges_of(gradients: Gradients, radii: Float) -> Float:
+    """Ranges of the strain's eigenvalues, from enclosures of the gradient."""
+    known = np.isfinite(gradients).all(axis=(1, 2)) & np.isfinite(radii)
+    ranges = np.tile([-np.inf, np.inf], (len(gradients), 1))
+    kept = gradients[known]
+    values: Float = np.asarray(np.linalg.eigvalsh(0.5 * (kept + kept.transpose(0, 2, 1)))[:, [0, -1]], np.float64)
+    ranges[known] = _widened(values, radii[known] + ROUNDING * np.abs(kept).sum(axis=(1, 2)) + 1e-280)
+    return ranges
+
+
+def _narrower(a: Float, b: Float) -> Float:
+    """What two proved ranges prove together."""
+    both: Float = np.stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])], axis=1)
+    return both

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
 from musclefit.fields import potentials, solenoidal_bounds
-from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
+from musclefit.fields.ceilings import GRADIENT, STRAIN, Ceilings
+from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
 MAX_LATTICE_POINTS = 400_000_000
 """Lattice points of one level at most, used or not; 1.6 GB."""
@@ -114,11 +115,17 @@ class SolenoidalField:
             raise FieldError("fields on different lattices cannot be added; fit both on the same ones")
         return replace(self, levels=tuple(replace(a, coefficients=a.coefficients + b.coefficients) for a, b in pairs))
 
-    def touched(self, centres: Points, half_widths: Float) -> Bool:
-        """(B,) boxes, of centres and half widths (B, 3) mm, in which the field may be other than zero."""
-        found = np.zeros(len(centres), dtype=bool)
-        solenoidal_bounds.touched_boxes(*self._lattices, centres, half_widths, found)
-        return found
+    def ceilings(self, centres: Points, half_widths: Float) -> Float:
+        """(B, 2) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
+
+        Of the gradient's Frobenius norm, and of its symmetric part's eigenvalues; 0 where the field is.
+        """
+        where = _accepted(centres)
+        half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
+        found = np.zeros((len(where), 2))
+        for level in self._ceilings:
+            level.add_over(where, half_widths, found)
+        return found * (1.0 + 1e-14)
 
     def bounds_with(
         self, gradients: Gradients, centres: Points, half_widths: Float, *, strain: bool
@@ -146,9 +153,9 @@ class SolenoidalField:
         if not (half_widths >= 0.0).all():
             raise FieldError("a box has a negative half width; give half widths of at least 0 mm")
         sums, found = np.empty((len(where), 3, 3)), np.empty((len(where), 2))
-        solenoidal_bounds.box_bounds(
-            *self._lattices, np.ascontiguousarray(gradients), where, half_widths, strain, sums, found
-        )
+        ceilings = self.ceilings(where, half_widths)[:, STRAIN if strain else GRADIENT].copy()
+        added = np.ascontiguousarray(gradients)
+        solenoidal_bounds.box_bounds(*self._lattices, added, where, half_widths, ceilings, strain, sums, found)
         return sums, found
 
     def displacement_rounding(self, centres: Points) -> Float:
@@ -161,6 +168,13 @@ class SolenoidalField:
             # 64 terms of two derivatives, whose weights sum to at most 2 / h; and places, by second derivatives.
             off += 1e-13 * largest / h * (1.0 + (reach + corner) / h)
         return off
+
+    @cached_property
+    def _ceilings(self) -> tuple[Ceilings, ...]:
+        return tuple(
+            Ceilings.of(level.low, level.spacing_mm, numbers=level.numbers, coefficients=level.coefficients)
+            for level in self.levels
+        )
 
     @cached_property
     def _lattices(self) -> tuple[Float, Float, Int, NDArray[np.int32], Points]:

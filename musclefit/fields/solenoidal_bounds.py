@@ -6,7 +6,7 @@ all levels; inserting knots at the faces of such a part and raising degrees brin
 cubic Bernstein basis, and norms and largest eigenvalues, being convex, are largest at its coefficients. Each box comes
 with a matrix that is added to the gradient everywhere: that of another field, whose own radius the caller adds.
 
-Boxes with more than `MAX_PARTS` parts are bounded by the second differences themselves, which is coarser.
+Boxes with more than `MAX_PARTS` parts are bounded by given ceilings (`ceilings`), which are coarser.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from musclefit.fields.bernstein import (
 from musclefit.fields.eigenvalues import floor_of, norm_ceiling, widen_by_hull
 
 MAX_PARTS = 27
-"""A box that is cut into more parts than this by the knots gets the coarse bound."""
+"""A box that is cut into more parts than this by the knots is bounded by its ceiling."""
 
 ROUNDING = 1e-12
 """Proved rounding of one entry of a gradient, in units of the largest coefficient over the spacing squared (fewer than
@@ -93,7 +93,20 @@ def _add_curl(b, x, y, z, column, hull):
 
 
 @njit(cache=True)
-def _add_level(low, h, numbers, coefficients, a0, a1, hull, work):
+def level_workspace():
+    """What `add_level` works in."""
+    return (
+        np.zeros((3, 64)),
+        np.zeros(64),
+        np.zeros(64),
+        np.zeros(64),
+        np.zeros((3, 3, 4, 4)),
+        np.zeros(3, np.int64),
+    )
+
+
+@njit(cache=True)
+def add_level(low, h, numbers, coefficients, a0, a1, hull, work):
     """Add one level over a0..a1, mm, within one of its cells, to the Bernstein coefficients; gives its rounding."""
     block, once, twice, column, matrices, cell = work
     reach = 0.0
@@ -124,94 +137,17 @@ def _add_level(low, h, numbers, coefficients, a0, a1, hull, work):
 
 
 @njit(cache=True)
-def _touches(low, h, numbers, a0, a1):
-    """True when some spline of the level is not zero somewhere in a box."""
-    ranges = np.zeros((3, 2), np.int64)
-    for axis in range(3):
-        ranges[axis, 0] = max(int(np.floor(max((a0[axis] - low[axis]) / h, -9.0))) - 2, 0)
-        ranges[axis, 1] = min(
-            int(np.floor(min((a1[axis] - low[axis]) / h, numbers.shape[axis] + 9.0))) + 4, numbers.shape[axis]
-        )
-    for i in range(ranges[0, 0], ranges[0, 1]):
-        for j in range(ranges[1, 0], ranges[1, 1]):
-            for k in range(ranges[2, 0], ranges[2, 1]):
-                if numbers[i, j, k] >= 0:
-                    return True
-    return False
-
-
-@njit(cache=True)
-def _row(numbers, i, j, k):
-    if 0 <= i < numbers.shape[0] and 0 <= j < numbers.shape[1] and 0 <= k < numbers.shape[2]:
-        return numbers[i, j, k]
-    return -1
-
-
-@njit(cache=True)
-def _coarse_radius(low, h, numbers, coefficients, a0, a1):
-    """Bound of the norm of one level's gradient over a box, from second differences."""
-    ranges, largest = np.zeros((3, 2), np.int64), 0.0
-    for axis in range(3):
-        ranges[axis, 0] = max(int(np.floor(max((a0[axis] - low[axis]) / h, -9.0))) - 2, -2)
-        ranges[axis, 1] = min(
-            int(np.floor(min((a1[axis] - low[axis]) / h, numbers.shape[axis] + 9.0))) + 4, numbers.shape[axis]
-        )
-    worst, da, dk = np.zeros((3, 3, 3)), np.zeros(3, np.int64), np.zeros(3, np.int64)  # [component, axis, axis]
-    for a in range(3):
-        for k in range(a, 3):
-            da[:], dk[:] = 0, 0
-            da[a], dk[k] = 1, 1
-            for x in range(ranges[0, 0], ranges[0, 1]):
-                for y in range(ranges[1, 0], ranges[1, 1]):
-                    for z in range(ranges[2, 0], ranges[2, 1]):
-                        here = _row(numbers, x, y, z)
-                        one = _row(numbers, x + da[0], y + da[1], z + da[2])
-                        other = _row(numbers, x + dk[0], y + dk[1], z + dk[2])
-                        both = _row(numbers, x + da[0] + dk[0], y + da[1] + dk[1], z + da[2] + dk[2])
-                        if here < 0 and one < 0 and other < 0 and both < 0:
-                            continue
-                        for b in range(3):
-                            value = 0.0
-                            if here >= 0:
-                                value += coefficients[here, b]
-                                largest = max(largest, abs(coefficients[here, b]))
-                            if both >= 0:
-                                value += coefficients[both, b]
-                                largest = max(largest, abs(coefficients[both, b]))
-                            if one >= 0:
-                                value -= coefficients[one, b]
-                                largest = max(largest, abs(coefficients[one, b]))
-                            if other >= 0:
-                                value -= coefficients[other, b]
-                                largest = max(largest, abs(coefficients[other, b]))
-                            worst[b, a, k] = max(worst[b, a, k], abs(value))
-                            worst[b, k, a] = worst[b, a, k]
-    square = 0.0
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for k in range(3):
-            entry = (worst[b, a, k] + worst[a, b, k]) / (h * h)
-            square += entry * entry
-    return np.sqrt(square) * (1.0 + 1e-13) + 3.0 * ROUNDING * largest / (h * h)
-
-
-@njit(cache=True)
 def _fill(hull, matrix):
     for row in range(9):
         hull[row, :] = matrix[row // 3, row % 3]
 
 
 @njit(cache=True)
-def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centre, half, strain, gradient, found):
+def _bound_box(
+    lows, spacings, shapes, numbers_of, coefficients_of, added, centre, half, ceiling, strain, gradient, found
+):
     """One box: writes the gradient at its centre, and the radius or the range of eigenvalues."""
-    work = (
-        np.zeros((3, 64)),
-        np.zeros(64),
-        np.zeros(64),
-        np.zeros(64),
-        np.zeros((3, 3, 4, 4)),
-        np.zeros(3, np.int64),
-    )
+    work = level_workspace()
     low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
     hull, parts, rounding = np.zeros((9, 64)), 1, 0.0
     for axis in range(3):
@@ -221,7 +157,7 @@ def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centr
     _fill(hull, added)
     for level in range(len(spacings)):
         numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
-        rounding += _add_level(lows[level], spacings[level], numbers, coefficients, centre, centre, hull, work)
+        rounding += add_level(lows[level], spacings[level], numbers, coefficients, centre, centre, hull, work)
     for row in range(9):
         gradient[row // 3, row % 3] = hull[row, 0]
     size = 0.0
@@ -235,13 +171,9 @@ def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centr
         parts *= max(counts[axis], 0)
     best, clear = np.full(2, -np.inf), np.zeros(64, np.bool_)
     if parts < 1 or parts > MAX_PARTS:
-        radius = norm_ceiling(gradient - added)
-        for level in range(len(spacings)):
-            numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
-            radius += _coarse_radius(lows[level], spacings[level], numbers, coefficients, low, high)
-        best[:] = radius
+        best[:] = norm_ceiling(gradient - added) + ceiling
         if strain:
-            best[0], best[1] = radius - floor_of(gradient, 3, 1.0), radius - floor_of(gradient, 3, -1.0)
+            best[0], best[1] = ceiling - floor_of(added, 3, 1.0), ceiling - floor_of(added, 3, -1.0)
         worst = own
     else:
         a, b, worst = np.zeros(3), np.zeros(3), own
@@ -254,7 +186,7 @@ def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centr
             rounding = 1e-15 * size
             for level in range(len(spacings)):
                 numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
-                rounding += _add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
+                rounding += add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
             worst = max(worst, own + 3.0 * rounding)
             widen_by_hull(hull, 3, gradient, strain, best, work[3], clear)
     if strain:
@@ -265,13 +197,14 @@ def _bound_box(lows, spacings, shapes, numbers_of, coefficients_of, added, centr
 
 @njit(parallel=True, cache=True)
 def box_bounds(
-    lows, spacings, shapes, numbers_of, coefficients_of, added, centres, half_widths, strain, gradients, found
+    lows, spacings, shapes, numbers_of, coefficients_of, added, centres, half_widths, ceilings, strain, gradients, found
 ):
     """Bound the gradient or the strain of all levels, plus a matrix for each box, over boxes.
 
     ``numbers_of`` and ``coefficients_of`` hold all levels one after the other, the numbers counted through; ``added``
-    is (B, 3, 3). Writes the gradients at the centres (B, 3, 3), and (B, 2): proved radius and the rounding at the
-    centre, or minus the lowest and plus the highest eigenvalue.
+    is (B, 3, 3); ``ceilings`` (B,) are proved ones of all levels together, for large boxes. Writes the gradients at the
+    centres (B, 3, 3), and (B, 2): proved radius and the rounding at the centre, or minus the lowest and plus the
+    highest eigenvalue.
     """
     for box in prange(len(centres)):
         _bound_box(
@@ -283,21 +216,8 @@ def box_bounds(
             added[box],
             centres[box],
             half_widths[box],
+            ceilings[box],
             strain,
             gradients[box],
             found[box],
         )
-
-
-@njit(parallel=True, cache=True)
-def touched_boxes(lows, spacings, shapes, numbers_of, coefficients_of, centres, half_widths, found):
-    """Write to ``found`` (B,) in which boxes some spline is not zero."""
-    for box in prange(len(centres)):
-        low, high = np.zeros(3), np.zeros(3)
-        for axis in range(3):
-            slack = 1e-15 * (abs(centres[box, axis]) + half_widths[box, axis])
-            low[axis] = centres[box, axis] - half_widths[box, axis] - slack
-            high[axis] = centres[box, axis] + half_widths[box, axis] + slack
-        for level in range(len(spacings)):
-            numbers, _ = _level(shapes, numbers_of, coefficients_of, level)
-            found[box] = found[box] or _touches(lows[level], spacings[level], numbers, low, high)

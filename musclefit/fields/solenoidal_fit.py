@@ -1,9 +1,10 @@
 r"""Fits curls of B-spline potentials to very many displacements, some of which only count along a direction.
 
 All levels are solved for at once by conjugate gradients on the least squares problem, from zero. Each coefficient is
-scaled by the root of its lattice's spacing, which makes the sum of squares about the energy
-:math:`\int |\nabla D|^2` level by level, so that what is smooth goes to the wide lattices (as in the multilevel
-preconditioner of Bramble, Pasciak and Xu), and by what its spline contributes at the data (Jacobi).
+scaled by a power of its lattice's spacing, 3/2, which makes the sum of squares about the energy
+:math:`\int |\nabla^2 D|^2` level by level (as in the multilevel preconditioner of Bramble, Pasciak and Xu), and by
+what its spline contributes at the data (Jacobi). The power decides what the field does between the data: by the energy
+:math:`\int |\nabla D|^2`, power 1/2, points weigh nothing in space: the field would come to each of them in a spike.
 
 References
 ----------
@@ -22,6 +23,9 @@ from musclefit.errors import FieldError
 from musclefit.fields import potentials
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
 from musclefit.geometry.arrays import Float, Points
+
+SMOOTHNESS = 1.5
+"""Power of a lattice's spacing by which its coefficients are scaled."""
 
 SEEN_SHARE = 0.9
 """Quantile of the contributions of a level's splines that counts as whole..."""
@@ -111,7 +115,7 @@ class _Problem:
             squares = np.zeros(len(level.coefficients))
             potentials.spread_squares(level.low, level.spacing_mm, level.numbers, at, squares)
             whole = float(np.quantile(squares, SEEN_SHARE)) if len(squares) else 1.0
-            scales.append(np.sqrt(level.spacing_mm / (squares / (whole or 1.0) + FLOOR))[:, None])
+            scales.append((level.spacing_mm**SMOOTHNESS / np.sqrt(squares / (whole or 1.0) + FLOOR))[:, None])
         return cls(at, normals, levels, scales)
 
     def seen(self, values: Points) -> Points:

@@ -25,7 +25,7 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.rig.handles import BoneMotions
 
-FIRST_ITERATIONS = 24
+FIRST_ITERATIONS = 40
 """Of a correction's least squares, from nothing."""
 
 CONTACT_REACH = 2.0
@@ -35,7 +35,7 @@ samples the field, which is steep there, would leak through the bone."""
 SLIP_PASSES = 2
 """Times that the contact zone is looked at again where the field slips it to, and the correction corrected."""
 
-MORE_ITERATIONS = 12
+MORE_ITERATIONS = 20
 """Of each such pass."""
 
 EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
@@ -336,9 +336,14 @@ def _graded(surface: TriMesh, around: Points, *, reach: float, longest_mm: float
 
 
 def _closer(points: Points, surface: TriMesh, limit: float) -> Bool:
-    """Which points are closer to the surface than the limit; far ones are sorted out by its box."""
+    """Which points are closer to the surface than the limit; far ones are sorted out by its box and its vertices."""
     low, high = surface.vertices.min(axis=0) - limit, surface.vertices.max(axis=0) + limit
     near: Bool = ((points > low) & (points < high)).all(axis=1)
+    # No place of a triangle is farther from its nearest corner than its longest edge.
+    corners = surface.vertices[surface.faces]
+    reach = limit + float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0))
+    apart = cKDTree(surface.vertices).query(points[near], distance_upper_bound=reach * (1.0 + 1e-9))[0]
+    near[near] = np.isfinite(apart)
     near[near] = nearest_places(points[near], surface).distances < limit if near.any() else False
     return near
 

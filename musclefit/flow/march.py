@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
 from musclefit.errors import FieldError, NotConvergedError
 from musclefit.fields.protocol import Backend
-from musclefit.flow.deformation import Deformation, Status, StepRecord
+from musclefit.flow.deformation import Deformation, Ridden, Status, StepRecord
 from musclefit.flow.rules import Rule
 from musclefit.flow.steppers import Stepper, explicit_step
 from musclefit.flow.steps import ExplicitStep, Step
-from musclefit.geometry.arrays import Points
+from musclefit.geometry.arrays import Gradients, Points
 from musclefit.progress import MARCH, Progress, Silent
 from musclefit.rig.handles import Path
 
@@ -57,6 +58,7 @@ class _Stretch:
     steps: tuple[Step, ...]
     records: tuple[StepRecord, ...]
     moved: Points
+    jacobians: Gradients
     end: float
 
 
@@ -82,6 +84,8 @@ def march(stepper: Stepper, *, rule: Rule, tested: Points, pace: Pace, progress:
         With its status: converged, stalled, or out of steps. The claim is *sampled*: the rule held at tested points.
     """
     points, done, reach = np.array(tested), 0.0, 1.0 / pace.min_steps
+    n = points.shape[1]
+    whole: Gradients = np.broadcast_to(np.eye(n), (len(points), n, n)).copy()
     steps: list[Step] = []
     records: list[StepRecord] = []
     stretches = 0
@@ -102,9 +106,9 @@ def march(stepper: Stepper, *, rule: Rule, tested: Points, pace: Pace, progress:
                 reach = 1.0
             elif stretch.records[0].rejected:
                 reach = stretch.end - done
-            points, done = stretch.moved, stretch.end
+            points, done, whole = stretch.moved, stretch.end, stretch.jacobians @ whole
             tick(done)
-    return Deformation(tuple(steps), tuple(records), status)
+    return Deformation(tuple(steps), tuple(records), status, Ridden(tested, points, whole))
 
 
 def one_shot(path: Path, backend: Backend, *, rule: Rule, tested: Points) -> Deformation:
@@ -145,16 +149,20 @@ def _stretch(stepper: Stepper, *, rule: Rule, points: Points, start: float, reac
         if not isinstance(tried, _Failure):
             first = StepRecord(start, end, tried.margins[0], tried.places[0], tuple(rejected))
             more = (StepRecord(start, end, m, p) for m, p in zip(tried.margins[1:], tried.places[1:], strict=True))
-            return _Stretch(tried.steps, (first, *more), tried.moved, end)
+            return _Stretch(tried.steps, (first, *more), tried.moved, tried.jacobians, end)
         if stepper.shortens_exactly:
             used = share * STRICTLY_BELOW
-            shortened = ExplicitStep(tried.steps[0].field.scaled(tried.fraction * used))
-            end = start + tried.fraction * used * (end - start)
-            return _Stretch((shortened,), (StepRecord(start, end, 1.0 - used, tried.place),), shortened(points), end)
+            factor = tried.fraction * used
+            shortened = ExplicitStep(tried.steps[0].field.scaled(factor))
+            end = start + factor * (end - start)
+            record = StepRecord(start, end, 1.0 - used, tried.place)
+            jacobians = shortened.jacobian_from(factor * tried.gradients)
+            return _Stretch((shortened,), (record,), shortened(points), jacobians, end)
         rejected.append(end)
         end = start + (end - start) * min(0.5, RETRY_SHARE * tried.fraction * share)
         if end - start < SHORTEST_REACH * (1.0 - start):
-            return _Stretch((), (StepRecord(start, start, 0.0, tried.place, tuple(rejected)),), points, start)
+            blocked = StepRecord(start, start, 0.0, tried.place, tuple(rejected))
+            return _Stretch((), (blocked,), points, np.zeros((0, 0, 0)), start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +171,7 @@ class _Success:
     margins: tuple[float, ...]
     places: tuple[tuple[float, ...], ...]
     moved: Points
+    jacobians: Gradients
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +179,7 @@ class _Failure:
     steps: tuple[Step, ...]
     fraction: float
     place: tuple[float, ...]
+    gradients: Gradients
 
 
 def _try(
@@ -181,6 +191,7 @@ def _try(
     steps: list[Step] = []
     margins: list[float] = []
     places: list[tuple[float, ...]] = []
+    jacobians: list[Gradients] = []
     for make in stepper.makers(start, end):
         try:
             step = make(moved[:count], moved[count:])
@@ -189,14 +200,16 @@ def _try(
             # Too long for a field at its middle (handles that meet there), or for a solution: half as long may do.
             if stepper.shortens_exactly:
                 raise
-            return _Failure((), 0.5, tuple(float(x) for x in moved[0]))
+            return _Failure((), 0.5, tuple(float(x) for x in moved[0]), np.zeros((0, 0, 0)))
         fractions = rule(trial.gradients)
         worst = int(np.argmin(fractions))
         fraction, place = float(fractions[worst]), tuple(float(x) for x in moved[worst])
         if not fraction * share > 1.0:
-            return _Failure((step,), fraction, place)
+            return _Failure((step,), fraction, place, trial.gradients[:count])
         steps.append(step)
         margins.append(1.0 - 1.0 / fraction)
         places.append(place)
         moved = trial.moved
-    return _Success(tuple(steps), tuple(margins), tuple(places), moved[:count])
+        jacobians.append(step.jacobian_from(trial.gradients[:count]))
+    whole = reduce(lambda before, after: after @ before, jacobians)
+    return _Success(tuple(steps), tuple(margins), tuple(places), moved[:count], whole)

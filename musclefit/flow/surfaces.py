@@ -136,13 +136,13 @@ def _move_new(marked: list[tuple[_Work, FaceEdges, Bool]], deformation: Deformat
 
 
 def _crossing(work: _Work) -> tuple[FaceEdges, Bool]:
-    """The edges of a tissue, and the longest ones of triangles that cross others of its own after the map.
+    """The edges of a tissue (none where it does not cross itself after the map), and the longest of crossing triangles.
 
     What crosses are mostly caps, triangles whose apex almost lies on their longest edge: that edge alone is in the way.
     """
     crossing = np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)
     if not len(crossing):
-        return FaceEdges(np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)), np.zeros(0, dtype=bool)
+        return FaceEdges.of(work.surface.faces[:0]), np.zeros(0, dtype=bool)
     edges = FaceEdges.of(work.surface.faces)
     a, b = edges.ends.T
     lengths = np.linalg.norm(work.surface.vertices[b] - work.surface.vertices[a], axis=1)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Faces, Int, Points
@@ -30,11 +31,38 @@ class FaceEdges:
     @classmethod
     def of(cls, faces: Faces) -> FaceEdges:
         """The edges of (f, 3) faces, each once."""
-        following = np.roll(faces, -1, axis=1)
-        span = int(faces.max(initial=0)) + 1
-        keys = np.minimum(faces, following) * span + np.maximum(faces, following)  # far quicker than unique rows
-        found, of_face = np.unique(keys, return_inverse=True)
-        return cls(np.stack([found // span, found % span], axis=1), of_face.reshape(-1, 3))
+        ends, of_face = np.empty((3 * len(faces), 2), np.int64), np.empty((len(faces), 3), np.int64)
+        count = _number_edges(np.ascontiguousarray(faces), int(faces.max(initial=0)) + 1, ends, of_face)
+        return cls(ends[:count].copy(), of_face)
+
+
+@njit(cache=True)
+def _number_edges(faces, vertices, ends, of_face):
+    """Write all edges in order of their vertices, and which ones the faces have; gives how many there are."""
+    starts = np.zeros(vertices + 1, np.int64)
+    for f in range(len(faces)):
+        for k in range(3):
+            starts[min(faces[f, k], faces[f, (k + 1) % 3]) + 1] += 1
+    starts = np.cumsum(starts)
+    others, slots, filled = np.empty(3 * len(faces), np.int64), np.empty(3 * len(faces), np.int64), starts[:-1].copy()
+    for f in range(len(faces)):
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            low, high = min(a, b), max(a, b)
+            place = filled[low]
+            while place > starts[low] and others[place - 1] > high:
+                others[place], slots[place] = others[place - 1], slots[place - 1]
+                place -= 1
+            others[place], slots[place] = high, 3 * f + k
+            filled[low] += 1
+    count = 0
+    for low in range(vertices):
+        for place in range(starts[low], starts[low + 1]):
+            if place == starts[low] or others[place] != others[place - 1]:
+                ends[count, 0], ends[count, 1] = low, others[place]
+                count += 1
+            of_face[slots[place] // 3, slots[place] % 3] = count - 1
+    return count
 
 
 def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:

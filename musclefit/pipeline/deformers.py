@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -29,7 +30,16 @@ from musclefit.geometry.distances import thinned
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles
 from musclefit.rig.job import Job
-from musclefit.rig.model import BackendKind, BoneLimit, DeformerSettings, Kernel, SkeletonDrive, StepKind, TestedAt
+from musclefit.rig.model import (
+    BackendKind,
+    BoneLimit,
+    DeformerSettings,
+    JointDrive,
+    Kernel,
+    SkeletonDrive,
+    StepKind,
+    TestedAt,
+)
 from musclefit.rig.section import suggestion
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
@@ -76,7 +86,7 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
     """
     settings = job.rig.deformer
     rule = rule_for(settings.step, settings.step_rule)
-    pace = Pace(settings.max_steps, settings.min_steps, settings.limit_share, job.stops)
+    pace = Pace(settings.max_steps, least_steps(job), settings.limit_share, job.stops)
     if job.rig.bones.rigid:
         stepper, tested = _bone_stepper(job, points)
         return Deformed(march(stepper, rule=rule, tested=tested, pace=pace, progress=progress), tuple(stepper.groups))
@@ -102,6 +112,14 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
         progress=progress,
     )
     return Deformed(held, (), kept)
+
+
+def least_steps(job: Job) -> int:
+    """Stretches that the path is cut into at least."""
+    settings, drive = job.rig.deformer, job.rig.drive
+    turn = max((abs(angle) for _, angle in drive.pose), default=0.0) if isinstance(drive, JointDrive) else 0.0
+    # 1e-9: what rounding adds to a whole number of steps.
+    return max(settings.min_steps, math.ceil(turn / settings.degrees_per_step - 1e-9))
 
 
 def bone_limits(job: Job) -> Mapping[str, BoneLimit]:

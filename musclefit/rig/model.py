@@ -260,7 +260,8 @@ Drive = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive | LatticeDrive
 class DeformerSettings:
     """Which field, which steps, how many.
 
-    The path is cut into at least ``min_steps`` stretches; no step uses more than ``limit_share`` of its rule's limit.
+    The path is cut into at least ``min_steps`` stretches, and into so many that in none a joint turns by more than
+    ``degrees_per_step``; no step uses more than ``limit_share`` of its rule's limit.
     ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
     most, each of half the spacing of the one before) are for free-form deformation by handles.
     ``smoothing`` lets radial sums miss noisy handles: it is added to the diagonal of the kernel's matrix.
@@ -269,7 +270,7 @@ class DeformerSettings:
     ------
     RigError
         ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a negative smoothing, a share that is not in (0, 1],
-        or a spacing that is not positive and finite.
+        an angle that is not in (0, 360], or a spacing that is not positive and finite.
     """
 
     backend: BackendKind = BackendKind.RBF
@@ -280,6 +281,7 @@ class DeformerSettings:
     path: PathKind = PathKind.STRAIGHT
     max_steps: int = 200
     min_steps: int = 1
+    degrees_per_step: float = 360.0
     limit_share: float = 1.0
     lattice_spacing_mm: float = 20.0
     lattice_levels: int = 6
@@ -288,6 +290,10 @@ class DeformerSettings:
     def __post_init__(self) -> None:
         _at_least_one("deformer.max_steps", self.max_steps)
         _at_least_one("deformer.min_steps", self.min_steps)
+        if not 0.0 < self.degrees_per_step <= 360.0:
+            raise RigError(
+                f"deformer.degrees_per_step: found {self.degrees_per_step}; expected an angle above 0 and up to 360 deg"
+            )
         if not 0.0 < self.limit_share <= 1.0:
             raise RigError(f"deformer.limit_share: found {self.limit_share}; expected a share above 0 and up to 1")
         _at_least_one("deformer.lattice_levels", self.lattice_levels)
@@ -515,6 +521,8 @@ class Rig:
                 'or a [drive] of kind "joints"'
             )
         _require_path(self.drive, self.deformer.path)
+        if self.deformer.degrees_per_step < 360.0 and not isinstance(self.drive, JointDrive):
+            raise RigError("deformer.degrees_per_step: has no effect where no joint turns; remove it, or use min_steps")
         if self.bones.rigid and self.deformer.smoothing:
             raise RigError("deformer.smoothing: rigid bones are met exactly; remove it, or write bones.rigid = false")
         if self.deformer.backend is BackendKind.LATTICE and (

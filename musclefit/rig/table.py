@@ -78,7 +78,15 @@ DRIVES: Mapping[DriveKind, type[Drive]] = {
 _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
     BackendKind.RBF: ("lattice_spacing_mm", "lattice_levels"),
     BackendKind.FFD: ("kernel", "smoothing"),
-    BackendKind.LATTICE: ("kernel", "smoothing", "lattice_spacing_mm", "lattice_levels", "min_steps", "limit_share"),
+    BackendKind.LATTICE: (
+        "kernel",
+        "smoothing",
+        "lattice_spacing_mm",
+        "lattice_levels",
+        "min_steps",
+        "degrees_per_step",
+        "limit_share",
+    ),
 }
 """Keys of the deformer that a backend has no use for."""
 

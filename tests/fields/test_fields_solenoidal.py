@@ -78,6 +78,23 @@ def test_a_fit_meets_what_a_field_without_divergence_does_on_a_surface():
     assert errors[1] < 0.2 * errors[0]
 
 
+def test_between_its_data_a_fit_does_what_a_smooth_field_does():
+    """No spikes at the points: lattices much finer than the data leave the gaps to the wide ones."""
+    rows = np.arange(-30.0, 31.0, 6.0)
+    plane = np.stack(np.meshgrid(rows, rows), axis=-1).reshape(-1, 2)
+    at = np.column_stack([plane, 0.2 * np.random.default_rng(4).normal(size=len(plane))])
+    between = (at + [3.0, 3.0, 0.0])[(np.abs(plane + 3.0) < 26.0).all(axis=1)]
+
+    def wave(points):
+        return 0.5 * np.column_stack([np.sin(points[:, 1] / 13.2), np.cos(points[:, 0] / 12.0), 0.0 * points[:, 0]])
+
+    backend = SolenoidalBackend(1e-6)
+    on = backend.at_rest(np.vstack([at, between]), spacings_mm=(12.0, 6.0, 3.0, 1.5)).levels
+    fitted = backend.fit(at, wave(at), slip_normals=np.zeros((0, 3)), on=on, iterations=60)
+    np.testing.assert_allclose(fitted.displacement(at), wave(at), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(fitted.displacement(between), wave(between), rtol=0, atol=0.02)
+
+
 def test_at_slip_points_only_the_normal_part_is_held():
     rng = np.random.default_rng(4)
     at = 9.0 * np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3)[:120] + rng.uniform(
@@ -101,7 +118,8 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
     rng = np.random.default_rng(int(scale * 1000))
     centres, halves = rng.uniform(-20.0, 20.0, (150, 3)), scale * rng.uniform(0.1, 1.0, (150, 3))
     gradients, radii = field.gradient_bounds(centres, halves)
-    ranges, _ = field.strain_bounds(centres, halves, enough=(-np.inf, np.inf))
+    ranges, _ = field.strain_bounds(centres, halves, enough=(np.inf, -np.inf))
+    quick, _ = field.strain_bounds(centres, halves, enough=(-np.inf, np.inf))
     values, off = field.displacement_bounds(centres, halves)
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3)
     tight = []
@@ -113,9 +131,32 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
         assert apart <= radii[box]
         assert ranges[box, 0] <= strains.min()
         assert strains.max() <= ranges[box, 1]
+        assert quick[box, 0] <= strains.min()
+        assert strains.max() <= quick[box, 1]
         assert (np.abs(moved - values[box]) <= off[box]).all()
         tight.append(np.ptp(strains) / np.ptp(ranges[box]))
     assert np.mean(tight) > {1e-3: 0.9, 0.5: 0.7, 3.0: 0.3, 8.0: 0.01}[scale]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.7, 5.0, 40.0])
+def test_nothing_escapes_the_ceilings(scale):
+    field = some_field(3)
+    rng = np.random.default_rng(int(scale * 1000))
+    # On the lattices' knots, too: there a box ends on the edge of a cell.
+    centres = np.vstack([rng.uniform(-25.0, 25.0, (200, 3)), 2.0 * rng.integers(-9, 9, (200, 3))])
+    halves = np.vstack([scale * rng.uniform(0.1, 1.0, (200, 3)), np.full((200, 3), 2.0 * np.ceil(scale))])
+    ceilings = field.ceilings(centres, halves)
+    used = 0.0
+    for box in range(len(centres)):
+        inside = rng.uniform(-1.0, 1.0, (200, 3))
+        slopes = field.gradient(centres[box] + halves[box] * np.sign(inside) * np.abs(inside) ** 0.3)
+        strains = np.abs(np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))).max()
+        assert np.linalg.norm(slopes, axis=(1, 2)).max() <= ceilings[box, 0]
+        assert strains <= ceilings[box, 1]
+        used = max(used, strains / max(ceilings[box, 1], 1e-300))
+    assert used > 0.25
+    away = field.ceilings(np.array([[200.0, 0.0, 0.0], [0.0, 0.0, -90.0]]), np.full((2, 3), 5.0))
+    np.testing.assert_array_equal(away, 0.0)
 
 
 def test_nothing_escapes_the_bounds_over_balls():

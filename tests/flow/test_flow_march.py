@@ -8,7 +8,7 @@ from oracles import row_norm_fraction
 
 from musclefit.errors import NotConvergedError
 from musclefit.fields.rbf import RadialBackend
-from musclefit.flow.deformation import Status
+from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Pace, march, one_shot, points_beside
 from musclefit.flow.rules import (
     cayley_fractions,
@@ -44,6 +44,17 @@ def test_the_loop_unfolds_what_one_shot_folds(kernel):
     assert shot.margin < 0.0
     assert determinants(loop).min() > 0.0
     np.testing.assert_allclose(loop.require()(path.source), path.target, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [explicit_step, cayley_step])
+def test_points_that_ride_along_go_where_the_steps_take_them(make):
+    path, rule = squeeze(12.0), cayley_fractions if make is cayley_step else row_norm_fractions
+    loop = march(HandleStepper(path, RadialBackend("r3"), make), rule=rule, tested=GRID, pace=Pace(60, 2))
+    alone = Deformation(loop.steps, loop.records, loop.status)
+    for known, found in zip(loop.with_jacobian(GRID[:70]), alone.with_jacobian(GRID[:70]), strict=True):
+        np.testing.assert_allclose(known, found, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(loop.with_jacobian(GRID[3:9])[0], alone.with_jacobian(GRID[3:9])[0])
+    assert len(loop.steps) > 1
 
 
 def test_each_step_is_as_long_as_eq_6_allows():

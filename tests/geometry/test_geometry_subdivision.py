@@ -43,6 +43,16 @@ def test_new_vertices_are_the_middles_in_the_order_of_the_edges():
     np.testing.assert_allclose(fine.vertices[len(mesh.vertices) :], middles, rtol=0, atol=1e-15)
 
 
+def test_edges_come_in_order_and_faces_know_theirs():
+    faces = np.random.default_rng(1).permutation(sphere(3).faces)
+    edges = FaceEdges.of(faces)
+    following = np.roll(faces, -1, axis=1)
+    pairs = np.stack([np.minimum(faces, following), np.maximum(faces, following)], axis=2)
+    np.testing.assert_array_equal(edges.ends, np.unique(pairs.reshape(-1, 2), axis=0))
+    np.testing.assert_array_equal(edges.ends[edges.of_face], pairs)
+    assert FaceEdges.of(faces[:0]).ends.shape == (0, 2)
+
+
 def test_short_edges_are_short():
     fine = with_short_edges(sphere(0), longest_mm=0.2)
     ends = fine.vertices[FaceEdges.of(fine.faces).ends]

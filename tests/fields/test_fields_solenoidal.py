@@ -83,7 +83,7 @@ def test_between_its_data_a_fit_does_what_a_smooth_field_does():
     rows = np.arange(-30.0, 31.0, 6.0)
     plane = np.stack(np.meshgrid(rows, rows), axis=-1).reshape(-1, 2)
     at = np.column_stack([plane, 0.2 * np.random.default_rng(4).normal(size=len(plane))])
-    between = (at + [3.0, 3.0, 0.0])[(np.abs(plane + 3.0) < 26.0).all(axis=1)]
+    between = (at + 3.0 * np.array([1.0, 1.0, 0.0]))[(np.abs(plane + 3.0) < 26.0).all(axis=1)]
 
     def wave(points):
         return 0.5 * np.column_stack([np.sin(points[:, 1] / 13.2), np.cos(points[:, 0] / 12.0), 0.0 * points[:, 0]])

@@ -38,7 +38,7 @@ PAPER = (
     "deformer.kernel=r2logr",
     "deformer.step=explicit",
     "deformer.path=straight",
-    "deformer.min_steps=1",
+    "deformer.degrees_per_step=360",
 )
 """The paper's loop on the rig's landmarks; its baseline is the same in one shot."""
 

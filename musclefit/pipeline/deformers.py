@@ -50,8 +50,9 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
-CONTACT_SAMPLED_MM = 1.2
-"""... and in and around the contact zones."""
+CONTACT_SAMPLED = 0.8
+"""... and in and around the contact zones, in units of the finest lattice: between coarser samples the field, which is
+steep there, would leak through the bone."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -213,7 +214,7 @@ def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
         job.motions,
         contact_zone_mm=bones.contact_zone_mm,
         sampled_mm=SAMPLED_MM,
-        contact_sampled_mm=CONTACT_SAMPLED_MM,
+        contact_sampled_mm=CONTACT_SAMPLED * min(bones.lattices_mm),
     )
     handles = _with_spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
     settings = job.rig.deformer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from musclefit.errors import InputError, RigError
 from musclefit.io import sequence_tasks
 from musclefit.io.sequence_frames import read_frame
 from musclefit.io.sequences import SequencePlan, planned, read_frames, run_sequence
-from musclefit.pipeline.sequence import Stage, frames
+from musclefit.pipeline.deformers import least_steps
+from musclefit.pipeline.sequence import Stage, frames, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
 
@@ -65,6 +67,13 @@ def test_a_frame_alone_is_the_frame_in_the_sequence(job: Job, plan: SequencePlan
     assert alone.anatomy is not None
     in_sequence = [frame.anatomy().vertices() for frame in read_frames(job, made)]
     np.testing.assert_array_equal(alone.anatomy.vertices(), in_sequence[3])
+
+
+@pytest.mark.parametrize(("degrees", "steps"), [(0.0, 1), (10.0, 1), (20.0, 2), (20.5, 3)])
+def test_small_poses_take_few_steps(rig: Path, degrees: float, steps: int) -> None:
+    job = musclefit.read_rig(rig, overrides=("deformer.path=joints", "deformer.degrees_per_step=10"))
+    assert least_steps(posed_job(job, Pose(0, 0.0, (("elbow", degrees),)))) == steps
+    assert least_steps(replace(job, rig=replace(job.rig, deformer=replace(job.rig.deformer, min_steps=7)))) >= 7
 
 
 def test_a_motion_that_comes_back_comes_back_to_rest(job: Job, made: Path) -> None:

@@ -123,7 +123,7 @@ WRONG = {
     "titel": (rig_table(titel="x"), "arm.toml: titel: unknown key; did you mean 'title'"),
     "kernal": (
         rig_table(deformer__kernal="r3"),
-        "arm.toml: deformer.kernal: unknown key; did you mean 'kernel'.*backend, kernel, .*max_steps, .*path",
+        "arm.toml: deformer.kernal: unknown key; did you mean 'kernel'.*backend, .*kernel, .*max_steps, .*path",
     ),
     "far from any": (rig_table(limits__qqq=1), "arm.toml: limits.qqq: unknown key; known: bone_rigidity_mm"),
     "drive key": (rig_table(drive__posee=1), r"arm.toml: drive.posee: unknown key; did you mean 'pose'\?"),
@@ -177,6 +177,10 @@ WRONG = {
     "steps are a fraction": (
         rig_table(deformer__max_steps=2.0),
         "arm.toml: deformer.max_steps: found the number 2.0; expected a whole number",
+    ),
+    "no turn": (
+        rig_table(deformer__degrees_per_step=0),
+        "arm.toml: deformer.degrees_per_step: found 0.0; expected an angle above 0 and up to 360 deg",
     ),
     "no steps": (rig_table(deformer__max_steps=0), "arm.toml: deformer.max_steps: found 0; expected at least 1"),
     "flag is a number": (

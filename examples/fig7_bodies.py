@@ -5,7 +5,7 @@
 One shot is what other tools do with a cage's vertices; the paper's loop takes steps by its row-norm rule; ours are
 implicit midpoint (Cayley) steps. All three have the same kernel, a scalar one, since the volume must change. Folds are
 counted at the vertices of all tissues, and among the tetrahedra of a lattice that fills the skin. In the pictures folds
-are magenta, what two tissues newly share or what is newly outside the skin is orange. Takes 8 CPU minutes.
+are magenta, what two tissues newly share or what is newly outside the skin is blue. Takes 8 CPU minutes.
 """
 
 from __future__ import annotations

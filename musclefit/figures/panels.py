@@ -187,7 +187,9 @@ def _add_marks(plotter: Any, panel: Panel) -> None:
 
 def _finish(plotter: Any, title: str, view: View) -> None:
     """Title, light and camera of the current panel."""
-    plotter.add_text(title, position="upper_edge", font_size=13, color="#1d2327", font="arial")
+    words = plotter.add_text(title, position="upper_edge", font_size=13, color="#1d2327", font="arial")
+    words.GetTextProperty().SetBackgroundColor(1.0, 1.0, 1.0)  # to be read in front of tissue, too
+    words.GetTextProperty().SetBackgroundOpacity(0.85)
     width, height = plotter.window_size
     panel_aspect = width / plotter.shape[1] / height
     scale = view.parallel_scale_mm(panel_aspect)

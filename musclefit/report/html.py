@@ -179,14 +179,18 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
     }
 
 
-def _tet_rows(report: Report) -> list[tuple[str, int, int]]:
-    """Tissues with inverted tets or such that were cut, and how many of each."""
+def _tet_rows(report: Report) -> list[tuple[str, int, int, int, float]]:
+    """Tissues with inverted tets, tets that were cut or vertices moved aside: how many of each, and how far, mm."""
     mesh = report.result.mesh
     if mesh is None:
         return []
     inverted = dict(mesh.inverted_by_tissue)
     cut = {} if mesh.refinement is None else dict(mesh.refinement.cut_by_tissue)
-    return [(name, inverted.get(name, 0), cut.get(name, 0)) for name in {**inverted, **cut}]
+    aside = {} if mesh.refinement is None else {name: found for name, *found in mesh.refinement.moved_aside}
+    return [
+        (name, inverted.get(name, 0), cut.get(name, 0), int(count), float(far))
+        for name, (count, far) in ((name, aside.get(name, (0, 0.0))) for name in {**inverted, **cut, **aside})
+    ]
 
 
 def _remark(report: Report) -> str:

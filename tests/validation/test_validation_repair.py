@@ -17,7 +17,7 @@ from musclefit.validate.overlaps import rest_overlaps
 def test_a_segmented_limb_becomes_disjoint(tmp_path, anatomy_data, limb, overlapping):
     given = anatomy_data / limb / "as_segmented"
     out = tmp_path / "out"
-    options = ["--resolve", "priority", "--limit-mm", "0.5", "--local-only", "--quiet"]
+    options = ["--resolve", "priority", "--limit-mm", "0.6", "--local-only", "--quiet"]
     assert main(["repair", str(given), str(out), *options]) == 0
     report = json.loads((out / "report.json").read_text())
     real = [pair for pair in report["overlaps_resolved"] if pair["overlap_mm3"] >= 0.95]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,9 +26,6 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.rig.handles import BoneMotions
 
-FIRST_ITERATIONS = 40
-"""Of a correction's least squares, from nothing."""
-
 CONTACT_REACH = 2.0
 """Around the contact zones, as far as this times their width, bones are sampled as finely as in them: between coarser
 samples the field, which is steep there, would leak through the bone."""
@@ -35,8 +33,8 @@ samples the field, which is steep there, would leak through the bone."""
 SLIP_PASSES = 2
 """Times that the contact zone is looked at again where the field slips it to, and the correction corrected."""
 
-MORE_ITERATIONS = 20
-"""Of each such pass."""
+MORE_ITERATIONS = 0.5
+"""Of each such pass, as a share of those of the first fit."""
 
 EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
 """Of the exact handles: conjugate gradients, started anew for what rounding left over, until they are met to this."""
@@ -159,6 +157,8 @@ class BoneStepper:
         The first so many handles must arrive exactly; the others only help.
     lattices_mm : sequence of float
         Spacings of the local part's lattices.
+    iterations : int
+        Of the first fit of the local part, from nothing.
     """
 
     handles: HandleStepper
@@ -166,6 +166,7 @@ class BoneStepper:
     motions: BoneMotions
     exact: int
     lattices_mm: Sequence[float]
+    iterations: int
 
     def held_points(self) -> Points:
         """(h, 3) points at rest that a march must have as its last tested points, mm."""
@@ -225,7 +226,7 @@ class BoneStepper:
                 left,
                 slip_normals=self._half_way(normals, start=start, end=end),
                 on=local.levels,
-                iterations=MORE_ITERATIONS if number else FIRST_ITERATIONS,
+                iterations=math.ceil(MORE_ITERATIONS * self.iterations) if number else self.iterations,
             )
             local = local.plus(more)
         return local

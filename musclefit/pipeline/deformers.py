@@ -224,6 +224,7 @@ def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
         motions=job.motions,
         exact=len(job.handles),
         lattices_mm=bones.lattices_mm,
+        iterations=bones.iterations,
     )
     return stepper, np.vstack([points, stepper.held_points()])
 

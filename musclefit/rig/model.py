@@ -327,12 +327,14 @@ class BoneSettings:
     rigid: bool = False
     handle_spacing_mm: float = 12.0
     lattices_mm: tuple[float, ...] = (6.0, 3.0, 1.5)
+    iterations: int = 40
     kept_lattices_mm: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
     contact_zone_mm: float = 4.0
     keep_rigid: tuple[str, ...] = ()
     keep_similar: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        _at_least_one("bones.iterations", self.iterations)
         if self.rigid and (self.keep_rigid or self.keep_similar):
             raise RigError(
                 "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones by joints; "

@@ -79,6 +79,7 @@ def bent():
         motions=MOTIONS,
         exact=5,
         lattices_mm=(6.0, 3.0, 1.5),
+        iterations=40,
     )
     tested = np.vstack([ANATOMY.vertices(), stepper.held_points()])
     return stepper, path, march(stepper, rule=cayley_fractions, tested=tested, pace=Pace(50, 3)).require()

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
+from scipy.interpolate import RBFInterpolator
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.figures.films import motion_pictures
@@ -123,6 +124,15 @@ def ours(report: SequenceReport, number: int, pose: Pose) -> Row:
     )
 
 
+def one_shot_by_scipy(job: Job, pose: Pose) -> float:
+    """CPU seconds of SciPy's thin-plate spline from the same landmarks to the same points."""
+    posed = posed_job(job, pose)
+    targets, points = posed.path.position(1.0), job.anatomy.vertices()
+    start = time.process_time()
+    RBFInterpolator(job.handles.source, targets, kernel="thin_plate_spline")(points)
+    return time.process_time() - start
+
+
 def picture(columns: Sequence[tuple[Pose, list[Anatomy]]], names: Sequence[str], file: Path) -> None:
     """A column for each pose, a row for each method, all from one view."""
     titles = [f"{pose.time_s:.2f} s" for pose, _ in columns for _ in names]
@@ -201,6 +211,12 @@ def compare(rig: str, *, figure: str, at: Sequence[float]) -> None:
             columns.append((poses[number], anatomies))
         for row in rows:
             print(row.cells(), flush=True)
+    frame_s, march_s = (float(np.mean([f.cpu_s[part] for f in report.made])) for part in ("frame", "march"))
+    scipy_s = one_shot_by_scipy(job, poses[chosen[-1]])
+    print(
+        f"\nCPU s per frame: {frame_s:.1f} ({march_s:.1f} of it the march; the rest moves, refines, proves and checks); "
+        f"SciPy's one-shot warp of the same points by the same landmarks: {scipy_s:.3f}, {frame_s / scipy_s:.0f} times less"
+    )
     print(f"\n{report.verdict}: {len(report.made)} of {len(poses)} frames made, {report.certified} certified")
     for check in report.checks:
         said = "ok" if check.passed else "FAIL"

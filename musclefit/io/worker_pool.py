@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -102,8 +103,9 @@ class Pool:
 
 
 def _begin(turn: Any, workers: int, prepare: Callable[..., None], given: tuple[Any, ...]) -> None:
-    """Leave interrupts to the parent, keep to a share of the processors, and prepare."""
+    """Leave interrupts to the parent, end when it ends, keep to a share of the processors, and prepare."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     with turn.get_lock():
         number, turn.value = turn.value, turn.value + 1
     if hasattr(os, "sched_setaffinity"):  # booleans use all processors they may run on, whatever the environment says
@@ -112,6 +114,14 @@ def _begin(turn: Any, workers: int, prepare: Callable[..., None], given: tuple[A
         if share:
             os.sched_setaffinity(0, mine[number % workers :: workers][:share])
     prepare(*given)
+
+
+def _end_with_parent() -> None:
+    """Wait for the parent to end, as when it is killed, and end at once: what tasks write, they write atomically."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # this runs in a worker
+    parent.join()
+    os._exit(1)
 
 
 @contextmanager

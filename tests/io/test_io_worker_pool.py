@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
+import time
 from multiprocessing import active_children
+from pathlib import Path
 
 import pytest
 
@@ -69,3 +73,40 @@ def test_errors_of_tasks_are_raised_and_dead_workers_told() -> None:
     with pytest.raises(MusclefitError, match="ended without a word"), Pool(1, prepare=prepare, given=("x",)) as pool:
         list(pool.run(die, [0]))
     assert not active_children()
+
+
+def linger(number: int) -> None:
+    (Path(_prepared[0]) / "worker").write_text(str(os.getpid()), encoding="utf-8")
+    time.sleep(120.0)
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    script = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_io_worker_pool import *\n"
+        "if __name__ == '__main__':\n"
+        f"    with Pool(1, prepare=prepare, given=({str(tmp_path)!r},)) as pool:\n"
+        "        list(pool.run(linger, [0]))\n"
+    )
+    (tmp_path / "parent.py").write_text(script, encoding="utf-8")
+    with subprocess.Popen([sys.executable, str(tmp_path / "parent.py")]) as parent:
+        said = tmp_path / "worker"
+        while not (said.is_file() and said.read_text(encoding="utf-8")):
+            assert parent.poll() is None
+            time.sleep(0.05)
+        worker = int(said.read_text(encoding="utf-8"))
+        parent.kill()
+    deadline = time.monotonic() + 30.0
+    while _alive(worker):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    return state != "Z"

@@ -22,9 +22,11 @@ from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import StepMaker
 from musclefit.flow.steps import CayleyStep, Step
 from musclefit.geometry.arrays import Bool, Float, Points
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.similar import Similarity
 from musclefit.geometry.subdivision import with_short_edges
+from musclefit.geometry.winding import winding_numbers
 from musclefit.progress import Progress
 from musclefit.rig.model import BoneLimit
 
@@ -33,6 +35,9 @@ ITERATIONS, MISSED_MM = 40, 0.003
 
 HANDLE_KERNEL, HANDLE_SUPPORT_MM = "wendland-c2", 20.0
 """Of the correction that puts the handles back exactly, from where the one for the bones leaves them."""
+
+WITHIN = 0.5
+"""Winding number of a bone around places that are inside it; bones that keep their shape may run into each other."""
 
 SAMPLED_MM = 5.0
 """Longest edge of the bones' surfaces where the field is held to them."""
@@ -60,8 +65,8 @@ class KeptBone:
     surface : (v, 3) float64, mm
         Samples of its surface at rest.
     contact : (v,) bool
-        Samples that come close to another kept bone: there the field is not held, since two bones that move apart in
-        their own ways leave no field that could follow both.
+        Samples that come close to another kept bone, or into it: there the field is not held, since two bones that
+        move apart in their own ways, or into each other, leave no field that could follow both.
     """
 
     name: str
@@ -89,28 +94,35 @@ def kept_bones(
         Of the whole body.
     limits : mapping of bone to BoneLimit
     contact_zone_mm : float
-        Samples closer than this to another of these bones, before or after, belong to the contact zone.
+        Samples closer than this to another of these bones, or within it, before or after, belong to the contact zone.
     """
-    found = []
+    found, placed = [], {}
     for name, limit in limits.items():
-        sampled = with_short_edges(anatomy[name].surface, longest_mm=SAMPLED_MM).vertices
+        surface = anatomy[name].surface
+        sampled = with_short_edges(surface, longest_mm=SAMPLED_MM).vertices
         moved = deformation(sampled)
         motion = _FITS[limit](sampled, moved)
         bent = float(np.linalg.norm(motion(sampled) - moved, axis=1).max())
         found.append(KeptBone(name, limit, motion, bent, sampled, np.zeros(len(sampled), dtype=bool)))
-    return tuple(replace(bone, contact=_contact(bone, found, contact_zone_mm)) for bone in found)
+        placed[name] = (surface, surface.with_vertices(motion(surface.vertices)))
+    return tuple(replace(bone, contact=_contact(bone, found, placed, contact_zone_mm)) for bone in found)
 
 
-def _contact(bone: KeptBone, bones: Sequence[KeptBone], zone: float) -> Bool:
+def _contact(
+    bone: KeptBone, bones: Sequence[KeptBone], placed: Mapping[str, tuple[TriMesh, TriMesh]], zone: float
+) -> Bool:
+    """Samples closer than the zone to another bone, or within it, at rest or where both are put."""
     near = np.zeros(len(bone.surface), dtype=bool)
     for other in bones:
         if other is bone:
             continue
-        for mine, theirs in ((bone.surface, other.surface), (bone.motion(bone.surface), other.motion(other.surface))):
+        ends = (bone.surface, other.surface), (bone.motion(bone.surface), other.motion(other.surface))
+        for (mine, theirs), surface in zip(ends, placed[other.name], strict=True):
             low, high = theirs.min(axis=0) - zone, theirs.max(axis=0) + zone
             close = np.flatnonzero(((mine > low) & (mine < high)).all(axis=1) & ~near)
             if close.size:
                 near[close] = np.asarray(cKDTree(theirs).query(mine[close])[0]) < zone
+                near[close] |= winding_numbers(surface, mine[close]) > WITHIN
     return near
 
 

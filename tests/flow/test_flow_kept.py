@@ -11,13 +11,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from tiny_rigs import egg
 
+from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import RigError
+from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.kept import kept_bones
+from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.similar import Similarity
+from musclefit.geometry.winding import winding_numbers
 from musclefit.io.outputs import ply_bytes
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.retarget import Retargeting, retarget
-from musclefit.rig.model import BoneSettings
+from musclefit.rig.model import BoneLimit, BoneSettings
 
 RIG = """
 title = "two bones and a muscle in a skin that swells and bends"
@@ -103,6 +108,17 @@ def test_an_attachment_stays_on_its_bone(run: Retargeting) -> None:
     motion = Similarity.fitted(bone, run.result.deformed["bone_long"].surface.vertices)
     beside = bone[::7] * (1.0 + 1e-3, 1.0 + 1e-3, 1.0)
     np.testing.assert_allclose(run.result.deformation(beside), motion(beside), rtol=0, atol=0.1)
+
+
+def test_what_is_deep_in_another_bone_is_not_held() -> None:
+    low, high = egg((0.0, 0.0, 0.0), (20.0, 20.0, 40.0)), egg((0.0, 0.0, 50.0), (20.0, 20.0, 40.0))
+    bones = Anatomy(tuple(Tissue(n, TissueKind.BONE, m) for n, m in (("low", low), ("high", high))), "mm")
+    still, limits = Deformation((), (), Status.CONVERGED), dict.fromkeys(("low", "high"), BoneLimit.RIGID)
+    for bone, other in zip(kept_bones(bones, still, limits=limits, contact_zone_mm=1.0), (high, low), strict=True):
+        within = winding_numbers(other, bone.surface) > 0.5
+        assert nearest_places(bone.surface[within], other).distances.max() > 5.0
+        assert within[bone.contact].sum() == within.sum() > 100
+        assert not bone.contact.all()
 
 
 def test_slips_are_named(folder: Path) -> None:

@@ -214,8 +214,9 @@ def compare(rig: str, *, figure: str, at: Sequence[float]) -> None:
     frame_s, march_s = (float(np.mean([f.cpu_s[part] for f in report.made])) for part in ("frame", "march"))
     scipy_s = one_shot_by_scipy(job, poses[chosen[-1]])
     print(
-        f"\nCPU s per frame: {frame_s:.1f} ({march_s:.1f} of it the march; the rest moves, refines, proves and checks); "
-        f"SciPy's one-shot warp of the same points by the same landmarks: {scipy_s:.3f}, {frame_s / scipy_s:.0f} times less"
+        f"\nCPU s per frame: {frame_s:.1f} ({march_s:.1f} of it the march; the rest moves, refines, proves and "
+        f"checks); SciPy's one-shot warp of the same points by the same landmarks: {scipy_s:.3f}, "
+        f"{frame_s / scipy_s:.0f} times less"
     )
     print(f"\n{report.verdict}: {len(report.made)} of {len(poses)} frames made, {report.certified} certified")
     for check in report.checks:

@@ -21,6 +21,7 @@ from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.orientation import orientations
+from musclefit.geometry.sheets import UNKNOWN, sheets_of
 from musclefit.geometry.tet_relocation import Planes, Springs, inverse_shapes, relocated
 from musclefit.geometry.tet_topology import TetFaces, interface, tet_faces
 from musclefit.geometry.volumes import signed_volumes
@@ -95,7 +96,7 @@ class Relocated:
     left_out_mm3 : float
     inverted_before, crossings_before : int
     inverted_left, crossings_left : int
-        0 unless the rounds ran out.
+        0 unless the rounds ran out; boundary faces inside tets count as crossing.
     """
 
     rest: TetAnatomy
@@ -130,8 +131,7 @@ def relocated_tets(rest: TetAnatomy, wanted: Points, *, bone: Int, progress: Pro
             _mend(ground)
             _look(ground)
             rounds += 1
-            wrong = len(ground.inverted) + len(ground.pairs)
-            fewest, since = (wrong, 0) if wrong < fewest else (fewest, since + 1)
+            fewest, since = (ground.wrong, 0) if ground.wrong < fewest else (fewest, since + 1)
             if ground.is_wrong:
                 _make_room(ground, leave_out=rounds > LEAVING_OUT_FROM)
             tick(rounds / ROUNDS)
@@ -159,6 +159,9 @@ class _Ground:
     inverted: Int = field(default_factory=lambda: np.zeros(0, np.int64))
     pairs: Int = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     places: Points = field(default_factory=lambda: np.zeros((0, 3)))
+    lapped: Int = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Boundary faces of sheets that lie inside tets, looked for once nothing else is wrong: a void of one tet that was
+    left out may have turned inside out without its faces crossing."""
     divides: dict[tuple[int, ...], Divide] = field(default_factory=dict)
 
     @classmethod
@@ -195,8 +198,13 @@ class _Ground:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether a tet is inverted or flat, or the boundary crosses itself."""
-        return bool(len(self.inverted) or len(self.pairs))
+        """Whether a tet is inverted or flat, or the boundary crosses itself or lies inside tets."""
+        return self.wrong > 0
+
+    @property
+    def wrong(self) -> int:
+        """Inverted tets, crossing pairs and lapped faces."""
+        return len(self.inverted) + len(self.pairs) + len(self.lapped)
 
     def leave_out(self, tets: Bool) -> None:
         """Go on without some tets, and without filler that hangs on nothing then."""
@@ -218,8 +226,14 @@ class _Ground:
 def _look(ground: _Ground) -> None:
     """What is wrong where the vertices are now."""
     ground.inverted = np.flatnonzero(orientations(ground.now, ground.tets) <= 0)
-    crossings = self_crossings(TriMesh(ground.now, ground.faces.boundary))
+    boundary = TriMesh(ground.now, ground.faces.boundary)
+    crossings = self_crossings(boundary)
     ground.pairs, ground.places = crossings.pairs, crossings.places
+    ground.lapped = np.zeros(0, np.int64)
+    if not ground.wrong:
+        sheets = sheets_of(boundary)
+        bad = (sheets.outside != 0) & (sheets.outside != UNKNOWN)
+        ground.lapped = np.flatnonzero(bad[sheets.of_face])
 
 
 def _mend(ground: _Ground) -> None:
@@ -227,6 +241,7 @@ def _mend(ground: _Ground) -> None:
     wrong = np.zeros(len(ground.tets), dtype=bool)
     wrong[ground.inverted] = True
     wrong[ground.faces.boundary_tets[ground.pairs.ravel()]] = True
+    wrong[ground.faces.boundary_tets[ground.lapped]] = True
     near = np.zeros(len(ground.rest), dtype=bool)
     near[ground.tets[wrong]] = True
     for _ in range(RINGS):
@@ -314,6 +329,7 @@ def _make_room(ground: _Ground, *, leave_out: bool) -> None:
         wrong = np.zeros(len(ground.tets), dtype=bool)
         wrong[ground.inverted] = True
         wrong[behind[ground.pairs.ravel()]] = True
+        wrong[behind[ground.lapped]] = True
         wrong &= ground.labels == ground.filler
         wrong[wrong] = _between_bones(ground, ground.tets[wrong])
         if wrong.any():
@@ -373,5 +389,5 @@ def _told(rest: TetAnatomy, ground: _Ground, rounds: int, before: tuple[int, int
         inverted_before=before[0],
         crossings_before=before[1],
         inverted_left=len(ground.inverted),
-        crossings_left=len(ground.pairs),
+        crossings_left=len(ground.pairs) + len(ground.lapped),
     )

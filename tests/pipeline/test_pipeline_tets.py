@@ -23,6 +23,8 @@ from musclefit.progress import Silent
 from musclefit.validate.model import MeshClaim
 from musclefit.validate.tets import check_tets
 
+RIGID = ("tets.enabled=true", "bones.handle_spacing_mm=9", "bones.iterations=40")
+
 
 @pytest.mark.slow
 def test_the_bent_limb_is_certified_and_its_tissues_are_apart() -> None:
@@ -44,7 +46,7 @@ def test_the_real_forearm_with_rigid_bones_is_certified_and_its_tissues_are_apar
 ) -> None:
     """All 70 surfaces in one mesh, elbow 75, forearm 70 degrees; meshed now (10 minutes) unless the cache has it."""
     monkeypatch.setenv("MUSCLEFIT_DATA", str(anatomy_data))
-    job = read_rig(find_rig("forearm_rigid"), overrides=("tets.enabled=true",), progress=Silent())
+    job = read_rig(find_rig("forearm_rigid"), overrides=RIGID, progress=Silent())
     tets = prepared_tets(job)
     assert tets is not None
     assert job.motions is not None

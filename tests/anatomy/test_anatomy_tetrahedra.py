@@ -297,7 +297,7 @@ def test_bones_that_move_as_one_keep_what_is_between_them(blocks: TetAnatomy) ->
     spanning = (owners == FILLER) & ends[0] & ends[1]
     volumes = np.abs(np.linalg.det(np.diff(blocks.mesh.vertices[tets[spanning]], axis=1))) / 6.0
     np.testing.assert_allclose(bridging.joint_space_mm3, volumes.sum(), rtol=1e-9, atol=0)
-    assert bridging.joint_space_mm3 > 0.8 * 2 * 8 * 8  # the gap, but for what lies on one bone only
+    assert bridging.joint_space_mm3 > 0.4 * 2 * 8 * 8  # the gap, but for what lies on one bone only
 
 
 def test_bones_that_come_near_on_the_way_count(blocks: TetAnatomy) -> None:

@@ -1,0 +1,214 @@
+"""Fused, threaded sums of quadratic B-splines on lattices kept in bricks: weights between 0 and 1, and proved ranges.
+
+A lattice of nodes is cut into bricks of ``SIDE`` cells along each axis, a cell being what is nearer to one node than to
+any other along every axis. ``bricks`` holds a row of values for each brick, or ``NOTHING`` (all weights 0) or ``WHOLE``
+(all weights 1). A row has the values of the brick's own nodes and of one more on each side, so that every sum stays in
+one brick. Values are whole numbers from 0 to ``ONE``: a weight is exactly 1 where every value that it sees is ``ONE``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+SIDE = 8
+"""Cells of a brick along each axis."""
+
+ACROSS = SIDE + 2
+"""Values of a brick along each axis."""
+
+ONE = 65535
+"""The value of weight 1."""
+
+NOTHING, WHOLE = -1, -2
+"""Bricks without values."""
+
+DIRECT = 12
+"""Nodes along each axis over which a box is bounded one by one; wider boxes take whole bricks."""
+
+BLOCK = 256
+
+
+@njit(inline="always")
+def _spline(t, w, d):
+    """Values and derivatives (per cell) of three quadratic B-splines at t in [-1/2, 1/2] from the middle one's node."""
+    w[0], w[1], w[2] = 0.5 * (0.5 - t) * (0.5 - t), 0.75 - t * t, 0.5 * (0.5 + t) * (0.5 + t)
+    d[0], d[1], d[2] = t - 0.5, -2.0 * t, t + 0.5
+
+
+@njit(parallel=True, cache=True)
+def weights_at(low, h, bricks, values, points, weights, gradients):
+    """Write weights (N,) and their gradients (N, 3), per mm, at points (N, 3)."""
+    n = points.shape[0]
+    for block in prange((n + BLOCK - 1) // BLOCK):
+        w, d, node, brick = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, np.int64), np.zeros(3, np.int64)
+        for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
+            weights[p] = 0.0
+            gradients[p, 0] = gradients[p, 1] = gradients[p, 2] = 0.0
+            within = True
+            for axis in range(3):
+                u = (points[p, axis] - low[axis]) / h
+                if not (-0.5 <= u < bricks.shape[axis] * SIDE - 0.5):
+                    within = False
+                    break
+                node[axis] = int(np.floor(u + 0.5))
+                brick[axis] = node[axis] // SIDE
+                _spline(u - node[axis], w[axis], d[axis])
+            if not within:
+                continue
+            row = bricks[brick[0], brick[1], brick[2]]
+            if row == -1:
+                continue
+            if row == -2:
+                weights[p] = 1.0
+                continue
+            a, b, c = node[0] - brick[0] * SIDE, node[1] - brick[1] * SIDE, node[2] - brick[2] * SIDE
+            least, most = 65535, 0
+            total, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
+            for i in range(3):
+                for j in range(3):
+                    start = ((a + i) * ACROSS + b + j) * ACROSS + c
+                    v0, v1, v2 = values[row, start], values[row, start + 1], values[row, start + 2]
+                    least = min(least, v0, v1, v2)
+                    most = max(most, v0, v1, v2)
+                    along = w[2, 0] * v0 + w[2, 1] * v1 + w[2, 2] * v2
+                    total += w[0, i] * w[1, j] * along
+                    gx += d[0, i] * w[1, j] * along
+                    gy += w[0, i] * d[1, j] * along
+                    gz += w[0, i] * w[1, j] * (d[2, 0] * v0 + d[2, 1] * v1 + d[2, 2] * v2)
+            if least == 65535:
+                weights[p] = 1.0
+            elif most > 0:
+                weights[p] = min(total / 65535.0, 1.0)
+                gradients[p, 0] = gx / (65535.0 * h)
+                gradients[p, 1] = gy / (65535.0 * h)
+                gradients[p, 2] = gz / (65535.0 * h)
+
+
+@njit(parallel=True, cache=True)
+def brick_ranges(values, out):
+    """For each brick (R, 1000) write (R, 5): lowest and highest value, and largest difference along each axis."""
+    for row in prange(values.shape[0]):
+        least, most, x, y, z = 65535, 0, 0, 0, 0
+        for i in range(ACROSS):
+            for j in range(ACROSS):
+                for k in range(ACROSS):
+                    at = (i * ACROSS + j) * ACROSS + k
+                    v = np.int64(values[row, at])
+                    least, most = min(least, v), max(most, v)
+                    if i:
+                        x = max(x, abs(v - np.int64(values[row, at - ACROSS * ACROSS])))
+                    if j:
+                        y = max(y, abs(v - np.int64(values[row, at - ACROSS])))
+                    if k:
+                        z = max(z, abs(v - np.int64(values[row, at - 1])))
+        out[row, 0], out[row, 1], out[row, 2], out[row, 3], out[row, 4] = least, most, x, y, z
+
+
+@njit(inline="always")
+def _value(bricks, values, i, j, k):
+    """The value of one node; 0 outside the lattice."""
+    if not (0 <= i < bricks.shape[0] * SIDE and 0 <= j < bricks.shape[1] * SIDE and 0 <= k < bricks.shape[2] * SIDE):
+        return 0
+    row = bricks[i // SIDE, j // SIDE, k // SIDE]
+    if row == -1:
+        return 0
+    if row == -2:
+        return 65535
+    return np.int64(values[row, ((i % SIDE + 1) * ACROSS + j % SIDE + 1) * ACROSS + k % SIDE + 1])
+
+
+@njit(parallel=True, cache=True)
+def weight_ranges(low, h, bricks, values, ranges, centres, half_widths, gradients, out):
+    """Proved ranges over boxes of centres and half widths (B, 3), mm, in the lattice's own frame.
+
+    ``ranges`` is what `brick_ranges` gives, and ``gradients`` (B, 3) are those at the centres. Writes (B, 4): lowest and
+    highest weight, largest length of the gradient, and how far it gets from that at the centre.
+    """
+    top = 1.0 + 1e-12
+    for box in prange(centres.shape[0]):
+        first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)
+        wide, beside, reach = 0, False, 0.0
+        for axis in range(3):
+            slack = 1e-12 * (abs(centres[box, axis]) + abs(low[axis]) + half_widths[box, axis]) / h + 1e-12
+            u = (centres[box, axis] - half_widths[box, axis] - low[axis]) / h - slack
+            v = (centres[box, axis] + half_widths[box, axis] - low[axis]) / h + slack
+            size = bricks.shape[axis] * SIDE
+            if not (v >= -0.5 and u <= size - 0.5):
+                beside = True
+            u, v = min(max(u, -2.0), size + 2.0), min(max(v, -2.0), size + 2.0)
+            first[axis], last[axis] = int(np.floor(u + 0.5)) - 1, int(np.floor(v + 0.5)) + 1
+            wide = max(wide, last[axis] - first[axis] + 1)
+            reach += half_widths[box, axis] * half_widths[box, axis]
+        if beside and np.isfinite(centres[box].sum() + half_widths[box].sum()):
+            out[box, 0] = out[box, 1] = out[box, 2] = out[box, 3] = 0.0
+            continue
+        least, most = np.int64(65535), np.int64(0)
+        lows, highs = np.zeros(3), np.zeros(3)
+        bend = np.inf
+        if wide <= DIRECT:
+            lows[:], highs[:] = 1e9, -1e9
+            xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0
+            for i in range(first[0], last[0] + 1):
+                for j in range(first[1], last[1] + 1):
+                    for k in range(first[2], last[2] + 1):
+                        v = _value(bricks, values, i, j, k)
+                        least, most = min(least, v), max(most, v)
+            if least == most:
+                lows[:], highs[:], bend = 0.0, 0.0, 0.0
+            else:
+                for i in range(first[0], last[0] + 1):
+                    for j in range(first[1], last[1] + 1):
+                        for k in range(first[2], last[2] + 1):
+                            v = _value(bricks, values, i, j, k)
+                            a, b, c = np.int64(0), np.int64(0), np.int64(0)
+                            if i < last[0]:
+                                a = _value(bricks, values, i + 1, j, k)
+                                lows[0], highs[0] = min(lows[0], a - v), max(highs[0], a - v)
+                            if j < last[1]:
+                                b = _value(bricks, values, i, j + 1, k)
+                                lows[1], highs[1] = min(lows[1], b - v), max(highs[1], b - v)
+                            if k < last[2]:
+                                c = _value(bricks, values, i, j, k + 1)
+                                lows[2], highs[2] = min(lows[2], c - v), max(highs[2], c - v)
+                            if i < last[0] - 1:
+                                xx = max(xx, abs(_value(bricks, values, i + 2, j, k) - 2 * a + v))
+                            if j < last[1] - 1:
+                                yy = max(yy, abs(_value(bricks, values, i, j + 2, k) - 2 * b + v))
+                            if k < last[2] - 1:
+                                zz = max(zz, abs(_value(bricks, values, i, j, k + 2) - 2 * c + v))
+                            if i < last[0] and j < last[1]:
+                                xy = max(xy, abs(_value(bricks, values, i + 1, j + 1, k) - a - b + v))
+                            if i < last[0] and k < last[2]:
+                                xz = max(xz, abs(_value(bricks, values, i + 1, j, k + 1) - a - c + v))
+                            if j < last[1] and k < last[2]:
+                                yz = max(yz, abs(_value(bricks, values, i, j + 1, k + 1) - b - c + v))
+                squares = 1.0 * xx * xx + 1.0 * yy * yy + 1.0 * zz * zz
+                squares += 2.0 * (1.0 * xy * xy + 1.0 * xz * xz + 1.0 * yz * yz)
+                bend = np.sqrt(squares) / (65535.0 * h * h) * np.sqrt(reach)
+        else:
+            for a in range(max(first[0], 0) // SIDE, min(last[0] // SIDE, bricks.shape[0] - 1) + 1):
+                for b in range(max(first[1], 0) // SIDE, min(last[1] // SIDE, bricks.shape[1] - 1) + 1):
+                    for c in range(max(first[2], 0) // SIDE, min(last[2] // SIDE, bricks.shape[2] - 1) + 1):
+                        row = bricks[a, b, c]
+                        if row == -1:
+                            least = np.int64(0)
+                        elif row == -2:
+                            most = np.int64(65535)
+                        else:
+                            least, most = min(least, ranges[row, 0]), max(most, ranges[row, 1])
+                            for axis in range(3):
+                                highs[axis] = max(highs[axis], 1.0 * ranges[row, 2 + axis])
+            for axis in range(3):
+                lows[axis] = -highs[axis]
+                if first[axis] < 0 or last[axis] >= bricks.shape[axis] * SIDE:
+                    least = np.int64(0)
+        steepest, off = 0.0, 0.0
+        for axis in range(3):
+            a, b = lows[axis] / (65535.0 * h), highs[axis] / (65535.0 * h)
+            steepest += max(a * a, b * b)
+            more = max(b - gradients[box, axis], gradients[box, axis] - a)
+            off += more * more
+        out[box, 0], out[box, 1] = least / 65535.0, most / 65535.0
+        out[box, 2] = np.sqrt(steepest) * top
+        out[box, 3] = min(np.sqrt(off), bend) * top + 1e-13 / h

@@ -226,10 +226,12 @@ class Marching:
         """As far as this one, or farther where it was shortened by a rejection and then used little of its limit."""
         if self.stepper.shortens_exactly:
             return 1.0
-        reach = stretch.end - stretch.start if stretch.records[0].rejected else self.reach
+        longest, length = 1.0 / self.pace.min_steps, stretch.end - stretch.start
+        if self.reach >= longest and not stretch.records[0].rejected:
+            return longest
         used = 1.0 - min(record.margin for record in stretch.records)
         growth = GROWTH if used <= 0.0 else min(GROWTH, EASY_SHARE * self.pace.share / used)
-        return min(1.0 / self.pace.min_steps, reach * max(1.0, growth))
+        return min(longest, length * max(1.0, growth))
 
     def _back_to(
         self, number: int, finished: list[Stretch], points: Points, stand: Points, whole: Gradients, *, left: float

@@ -119,6 +119,8 @@ def _side(side: Side, limits: Limits) -> Json:
         "steps_rejected": int(side.steps_rejected),
         "edges_split": int(side.edges_split),
         "edges_left_bent": int(side.edges_left_bent),
+        "crossings_left": int(side.crossings_left),
+        "steps_returned": int(side.steps_returned),
         "bones": None if side.bones is None else _bones(side.bones),
         "tissues": [_tissue(t) for t in side.tissues],
         "overlaps": [_pair(p) for p in side.overlaps.pairs],
@@ -144,6 +146,7 @@ def _map(found: MapCheck) -> Json:
         "place_mm": [_number(x) for x in found.place_mm],
         "boxes_examined": int(found.boxes_examined),
         "boxes_left": int(found.boxes_left),
+        "gap_mm": None if found.gap_mm is None else _number(found.gap_mm),
     }
 
 

@@ -39,6 +39,7 @@ class MapCheck:
 
     ``margin`` is how far the worst place stays from the limit of the rule (0 at the limit, 1 at rest), over all steps;
     ``folded_points`` counts tested points with det of the whole Jacobian <= 0; ``place_mm`` is the worst place at rest.
+    The points sample the surfaces: no place of them is farther than ``gap_mm`` from one (None: not known).
     Where a proof was tried, ``boxes_examined`` says how many boxes of space it took and ``boxes_left`` how many stay
     undecided; ``margin`` is proved when the claim is certified.
     """
@@ -52,6 +53,7 @@ class MapCheck:
     place_mm: tuple[float, float, float]
     boxes_examined: int = 0
     boxes_left: int = 0
+    gap_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

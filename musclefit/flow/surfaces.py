@@ -25,8 +25,9 @@ MAX_CROSSING_ROUNDS = 16
 SHORTEST_SHARE = 0.1
 """Edges shorter than this share of the chord tolerance are not split for that: what crosses there are slivers."""
 
-PATIENCE = 2
-"""Rounds in a row that may leave a tissue no fewer crossings than it had before they are given up and taken back."""
+PATIENCE, MULTIPLIED = 2, 8
+"""Halving is given up, and taken back to where the fewest triangles crossed, after so many rounds in a row that left no
+fewer than the round before, or where it left this many times the fewest."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -201,6 +202,7 @@ class _Refinement:
         given = self._cut.anatomy
         shortest = SHORTEST_SHARE * self._tolerance_mm
         fewest: dict[str, tuple[int, TriMesh, Int]] = {}
+        last: dict[str, int] = {}
         idle: dict[str, int] = {}
         waiting = [(work, pairs) for work in self._open if len(pairs := _crossing_pairs(work))]
         # What crosses itself as given stays.
@@ -211,12 +213,13 @@ class _Refinement:
                 if not len(pairs):
                     fewest.pop(work.name, None)
                     continue
-                if work.name not in fewest or len(pairs) < fewest[work.name][0]:
-                    fewest[work.name], idle[work.name] = (len(pairs), work.surface, work.rows), 0
-                else:
-                    idle[work.name] += 1
+                name, count = work.name, len(pairs)
+                if name not in fewest or count < fewest[name][0]:
+                    fewest[name] = (count, work.surface, work.rows)
+                idle[name] = idle.get(name, 0) + 1 if count >= last.get(name, count + 1) else 0
+                last[name] = count
                 edges, crossing = _longest_of_crossing(work, pairs, shortest)
-                if crossing.any() and idle[work.name] < PATIENCE:
+                if crossing.any() and idle[name] < PATIENCE and count < MULTIPLIED * fewest[name][0]:
                     marked.append((work, edges, crossing))
             if not marked or done == MAX_CROSSING_ROUNDS or not self._split(marked):
                 break

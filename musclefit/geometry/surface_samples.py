@@ -65,11 +65,9 @@ def surface_samples(mesh: TriMesh, *, spacing_mm: float) -> SurfaceSamples:
     if not 0.0 < spacing_mm < math.inf:
         raise MeshError(f"found a spacing of {spacing_mm} mm between samples; expected a finite length above 0")
     cut = with_short_edges(mesh, longest_mm=EDGES_PER_SPACING * spacing_mm)
-    areas = np.linalg.norm(area_vectors(cut), axis=1)
-    shares: Float = np.bincount(cut.faces.ravel(), np.repeat(areas / 3.0, 3), minlength=len(cut.vertices)).astype(
-        np.float64
-    )
-    return SurfaceSamples(cut, len(mesh.vertices), shares, largest_gap(cut))
+    thirds = np.repeat(np.linalg.norm(area_vectors(cut), axis=1) / 3.0, 3)
+    areas = np.bincount(cut.faces.ravel(), thirds, minlength=len(cut.vertices)).astype(np.float64)
+    return SurfaceSamples(cut, len(mesh.vertices), areas, largest_gap(cut))
 
 
 def largest_gap(mesh: TriMesh) -> float:

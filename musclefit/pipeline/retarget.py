@@ -14,13 +14,15 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.maps import certify_map
 from musclefit.errors import InputError
-from musclefit.flow.bones import contact_residuals, exposed_residuals
+from musclefit.flow.bones import contact_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, kept_residuals
+from musclefit.flow.residuals import surface_residuals
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surfaces import Carried
 from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.deformers import (
     Deformed,
@@ -227,7 +229,7 @@ class _Finisher:
                 edges_left_bent=moved.undecided_edges,
                 crossings_left=moved.crossings_left,
                 steps_returned=made.returns,
-                bones=self._bone_field(deformed),
+                bones=self._bone_field(made),
             )
             tick(1.0)
         return Outcome(
@@ -305,22 +307,39 @@ class _Finisher:
             boxes_left=proof.boxes_left,
         )
 
-    def _bone_field(self, deformed: Deformed) -> BoneFieldCheck | None:
+    def _bone_field(self, made: Made) -> BoneFieldCheck | None:
+        deformed = made.deformed
         if deformed.kept:
             return _kept_field(self.job, deformed)
         if not deformed.groups:
             return None
         assert self.job.motions is not None  # held bones are moved by joints
-        exposed = exposed_residuals(deformed.groups, deformed.deformation, _final_motions(self.job))
+        motions = _final_motions(self.job)
+        between = surface_residuals(deformed.groups, deformed.deformation, motions)
         contact = contact_residuals(deformed.groups, deformed.deformation, self.job.motions)
+        own = _own_residuals(made, motions)
+        p99 = weighted_quantile(between.distances, between.areas, 0.99) if len(between.areas) else 0.0
         return BoneFieldCheck(
             contact_zone_mm=self.job.rig.bones.contact_zone_mm,
-            exposed_vertices=len(exposed),
+            exposed_vertices=len(own),
             contact_vertices=len(contact),
-            residual_p99_mm=float(np.quantile(exposed, 0.99)),
-            residual_max_mm=float(exposed.max()),
+            residual_p99_mm=p99,
+            residual_max_mm=float(max(own.max(initial=0.0), between.distances.max(initial=0.0))),
             contact_residual_max_mm=float(contact.max(initial=0.0)),
+            exposed_samples=len(between.distances),
+            gap_mm=between.gap_mm,
         )
+
+
+def _own_residuals(made: Made, motions: Mapping[str, RigidMotion]) -> Float:
+    """Distances of the map from the rigid motions at the bones' own vertices outside their contact zones, mm."""
+    found = [np.zeros(0)]
+    for group in made.deformed.groups:
+        given = [made.carried.rest[bone].surface.vertices for bone in group.bones]
+        moved = np.concatenate([made.carried.deformed[bone].surface.vertices for bone in group.bones])
+        off = np.linalg.norm(moved - motions[group.bones[0]](np.concatenate(given)), axis=1)
+        found.append(off[~group.contact[: group.given]])
+    return np.concatenate(found)
 
 
 def _mesh(tets: CarriedTets) -> MeshCheck:

@@ -161,6 +161,8 @@ def _bones() -> Schema:
     properties = {
         "contact_zone_mm": _number("Places of a bone that come closer than this to one that moves otherwise, mm."),
         "exposed_vertices": _count("The bones' own vertices outside the contact zone."),
+        "exposed_samples": _count("Places of the exposed surface between those where the field is held."),
+        "gap_mm": _number("No place of that surface is farther from one of these, mm; null where it is not known."),
         "contact_vertices": _count("Samples inside it, where the field may slip along the bone."),
         "field_residual_mm": _record(residual, "Distance of the field from the rigid motion at the exposed samples."),
         "contact_residual_max_mm": _number(

@@ -154,6 +154,8 @@ def _bones(found: BoneFieldCheck) -> Json:
     return {
         "contact_zone_mm": _number(found.contact_zone_mm),
         "exposed_vertices": int(found.exposed_vertices),
+        "exposed_samples": int(found.exposed_samples),
+        "gap_mm": None if found.gap_mm is None else _number(found.gap_mm),
         "contact_vertices": int(found.contact_vertices),
         "field_residual_mm": {"p99": _number(found.residual_p99_mm), "max": _number(found.residual_max_mm)},
         "contact_residual_max_mm": _number(found.contact_residual_max_mm),

@@ -238,14 +238,15 @@ class Marching:
     ) -> Marching:
         """At the start of a stretch again, with points that stand there; ``left`` is what they left of its length."""
         stretch = self.stretches[number]
-        length = stretch.end - stretch.start
+        start = stretch.start
+        shorter = (stretch.end - start) * min(RETRY_SHARE, RETRY_SHARE * left)
         return replace(
             self,
             tested=self._with(self.tested, points),
             moved=self._with(stretch.befores[0], stand),
             jacobians=self._with(self._jacobians_before(number), whole),
             stretches=tuple(finished),
-            reach=self.reach if self.stepper.shortens_exactly else length * min(RETRY_SHARE, RETRY_SHARE * left),
+            reach=self.reach if self.stepper.shortens_exactly else max(shorter, SHORTEST_REACH * (1.0 - start)),
             rejected=(*stretch.records[0].rejected, stretch.end),
             status=None,
             blocked=(),

@@ -25,7 +25,7 @@ MAX_CROSSING_ROUNDS = 16
 SHORTEST_SHARE = 0.1
 """Edges shorter than this share of the chord tolerance are not split for that: what crosses there are slivers."""
 
-PATIENCE, MULTIPLIED = 2, 8
+PATIENCE, MULTIPLIED = 4, 8
 """Halving is given up, and taken back to where the fewest triangles crossed, after so many rounds in a row that left no
 fewer than the round before, or where it left this many times the fewest."""
 
@@ -184,8 +184,8 @@ class _Refinement:
 
     def follow_bends(self, tick: Tick) -> None:
         """Split what the map bends, round by round."""
-        waiting = self._open
-        for done in range(MAX_ROUNDS + 1):
+        waiting, done = self._open, 0
+        while True:
             marked = [(w, e, b) for w in waiting for e, b in [_bent(w, self._tolerance_mm)] if b.any()]
             self._bent_left = sum(int(bent.sum()) for _, _, bent in marked)
             if not marked or done == MAX_ROUNDS:
@@ -193,9 +193,11 @@ class _Refinement:
             returns = self.riders.returns
             if not self._split(marked):
                 return
-            # What was straight enough may not be any more under another map.
-            waiting = [work for work, _, _ in marked] if self.riders.returns == returns else self._open
-            tick((done + 1) / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
+            if self.riders.returns == returns:
+                waiting, done = [work for work, _, _ in marked], done + 1
+                tick(done / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
+            else:  # what was straight enough may not be any more under another map
+                waiting = self._open
 
     def part_crossings(self, tick: Tick) -> None:
         """Halve what comes to cross, tissue by tissue, until it does not or halving no longer makes it fewer."""

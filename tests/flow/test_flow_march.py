@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from oracles import row_norm_fraction
@@ -302,7 +304,7 @@ def test_a_march_that_was_slowed_goes_faster_again_where_it_may() -> None:
     lengths = [record.end - record.start for record in found.records]
     assert len(found.records[0].rejected) == 1
     assert max(lengths) > 1.4 * lengths[0]
-    assert all(b < 1.5 * a + 1e-9 for a, b in zip(lengths, lengths[1:], strict=False))
+    assert all(b < 1.5 * a + 1e-9 for a, b in pairwise(lengths))
 
 
 def test_what_is_left_of_a_path_is_cut_into_equal_parts() -> None:

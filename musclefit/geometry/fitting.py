@@ -86,7 +86,9 @@ def fitted_sphere(points: Points, *, weights: Float | None = None) -> SphereFit:
     return SphereFit(frozen(best[:3] + origin), float(best[3]), frozen(residuals(best)), frozen(share))
 
 
-def fitted_cylinder(points: Points, normals: Points, *, weights: Float | None = None) -> CylinderFit:
+def fitted_cylinder(
+    points: Points, normals: Points, *, weights: Float | None = None, near: Float | None = None
+) -> CylinderFit:
     """The cylinder with the least weighted sum of squared distances to (n, 3) points, mm.
 
     Starts from the direction that the (n, 3) ``normals`` of the surface are most at right angles to: a cylinder's are
@@ -98,6 +100,8 @@ def fitted_cylinder(points: Points, normals: Points, *, weights: Float | None = 
     normals : (n, 3) float64
     weights : (n,) float64 or None
         Positive, such as the areas that the points stand for; None: all alike.
+    near : (3,) float64 or None
+        Where the axis points roughly, if that is known: the search starts there alone.
 
     Raises
     ------
@@ -109,7 +113,7 @@ def fitted_cylinder(points: Points, normals: Points, *, weights: Float | None = 
     origin = points.mean(axis=0)
     p = points - origin
     share, roots = _shares(weights, len(p))
-    starts = np.linalg.svd(roots[:, None] * normals, full_matrices=False)[2][::-1]
+    starts = np.linalg.svd(roots[:, None] * normals, full_matrices=False)[2][::-1] if near is None else [near]
     best = min((_cylinder_from(p, roots, axis) for axis in starts), key=lambda fit: fit[1])[0]
     axis, centre, radius = best
     off = p - centre
@@ -157,7 +161,7 @@ def _cylinder_from(p: Points, roots: Float, start: Float) -> tuple[tuple[Float, 
     circle = np.linalg.lstsq(roots[:, None] * linear, roots * (flat**2).sum(axis=1), rcond=None)[0]
     radius = float(np.sqrt(max(circle[2] + circle[:2] @ circle[:2], 0.0)))
     found = least_squares(
-        residuals, [0.0, 0.0, *circle[:2], radius], xtol=FIT_TOLERANCE, ftol=FIT_TOLERANCE, x_scale="jac"
+        residuals, [0.0, 0.0, *circle[:2], radius], xtol=FIT_TOLERANCE, ftol=FIT_TOLERANCE, x_scale="jac", method="lm"
     )
     axis, across, other = frame(found.x)
     return (axis, found.x[2] * across + found.x[3] * other, float(found.x[4])), float(found.cost)

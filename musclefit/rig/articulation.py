@@ -90,13 +90,14 @@ def fitted_joint(
                 f"samples; a fit needs {FEWEST}): give bones that meet in a joint, or a larger distance"
             )
         kept = np.ones(len(points), dtype=bool)
+        fit = _fit(points, normals, areas, kind)
         for _ in range(TRIM_ROUNDS):
-            fit = _fit(points[kept], normals[kept], areas[kept], kind)
             off = np.abs(_off(fit, points))
             fresh = off <= TRIM * max(weighted_quantile(off[kept], areas[kept], 0.5), 1e-9)
             if (fresh == kept).all() or fresh.sum() < FEWEST:
                 break
             kept = fresh
+            fit = _fit(points[kept], normals[kept], areas[kept], kind, before=fit)
         found.append(FittedJoint(of, fit, float(areas[kept].sum()), float(areas[~kept].sum())))
     return tuple(sorted(found, key=lambda joint: joint.fit.rms / joint.fit.radius))
 
@@ -126,10 +127,13 @@ def facing_triangles(own: TriMesh, other: TriMesh, *, within_mm: float) -> tuple
     return middles[chosen], normals[chosen], areas[chosen]
 
 
-def _fit(points: Points, normals: Points, areas: Float, kind: JointKind) -> CylinderFit | SphereFit:
+def _fit(
+    points: Points, normals: Points, areas: Float, kind: JointKind, *, before: CylinderFit | SphereFit | None = None
+) -> CylinderFit | SphereFit:
     if kind is JointKind.BALL:
         return fitted_sphere(points, weights=areas)
-    return fitted_cylinder(points, normals, weights=areas)
+    near = before.axis if isinstance(before, CylinderFit) else None
+    return fitted_cylinder(points, normals, weights=areas, near=near)
 
 
 def _off(fit: CylinderFit | SphereFit, points: Points) -> Float:

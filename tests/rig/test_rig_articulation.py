@@ -142,17 +142,17 @@ def test_a_joint_does_not_see_how_finely_a_part_of_its_surface_is_cut() -> None:
 
 
 def test_a_hinge_does_not_see_how_finely_a_part_of_its_surface_is_cut() -> None:
-    roller = trimesh.creation.cylinder(radius=10.0, height=30.0, sections=48)
-    bed = trimesh.creation.annulus(r_min=12.0, r_max=16.0, height=30.0, sections=48).subdivide_to_size(4.0)
+    roller = trimesh.creation.cylinder(radius=10.0, height=16.0, sections=24)
+    bed = trimesh.creation.annulus(r_min=12.0, r_max=16.0, height=16.0, sections=24)
     cone = np.array(roller.vertices) * (1.0 + 0.004 * np.array(roller.vertices)[:, 2:] * [1.0, 0.5, 0.0])
     coarse = TriMesh(cone, np.asarray(roller.faces))
     axes = [
         next(fit.fit for fit in fitted_joint(mesh(bed), own, kind=JointKind.HINGE) if fit.of == "moving")
-        for own in (coarse, half_cut(coarse, longest_mm=0.4))
+        for own in (coarse, half_cut(coarse, longest_mm=1.2))
     ]
     assert isinstance(axes[0], CylinderFit)
     assert isinstance(axes[1], CylinderFit)
-    assert np.degrees(np.arccos(min(1.0, abs(axes[0].axis @ axes[1].axis)))) < 0.05
+    assert np.degrees(np.arccos(min(1.0, abs(axes[0].axis @ axes[1].axis)))) < 0.1
     off = axes[1].centre - axes[0].centre
     assert np.linalg.norm(off - (off @ axes[0].axis) * axes[0].axis) < 0.02
 

@@ -47,7 +47,7 @@ def fit_joint(
         most = np.abs(fit.residuals).max()
         lines.append(
             f"# {found.of} bone: radius {fit.radius:.2f} mm, off by {fit.rms:.2f} mm rms and {most:.2f} mm at most on "
-            f"{found.used} triangles, {found.left_out} left out"
+            f"{found.used_mm2:.0f} mm², {found.left_out_mm2:.0f} mm² left out"
         )
         if isinstance(fit, CylinderFit):
             uncertain = ", too little to be sure of it" if fit.spread < SURE_DEG else ""

@@ -21,6 +21,10 @@ class Status(StrEnum):
     CONVERGED = "every handle is at its destination"
     STALLED = "no safe step is left; the place that blocks is in the last step record"
     OUT_OF_STEPS = "the step budget ran out; raise max_steps"
+    UNSOLVED = (
+        "the rule fails at places of the finer surfaces, and shorter steps do not help; where surfaces or handles come "
+        "too close to each other leave them more room, or choose a smaller pose"
+    )
     ONE_SHOT = "one step of full length, not held to any rule"
 
 

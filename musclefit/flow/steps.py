@@ -164,6 +164,13 @@ class CayleyStep:
         return CayleyStep(self.field.scaled(-1.0))
 
 
+def jacobian_between(step: Step, before: Points, after: Points) -> Gradients:
+    """The step's Jacobian at (N, n) points that it is known to take to ``after``: no equation is solved again, mm."""
+    if isinstance(step, CayleyStep):
+        return step.jacobian_from(step.field.gradient(0.5 * (before + after)))
+    return step.jacobian(before)
+
+
 def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gradients]:
     """Solve y + factor D(y) = target for each point; gives the points and the gradients there.
 

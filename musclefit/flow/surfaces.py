@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.flow.deformation import Deformation
-from musclefit.geometry.arrays import Bool, Float, Gradients, Points
+from musclefit.flow.riding import PlainRiders, Riders
+from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points
 from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import FaceEdges, split_edges
-from musclefit.progress import Progress, Silent
+from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
+from musclefit.progress import Progress, Silent, Tick
 
 MAX_ROUNDS = 8
 """Each round halves edges: from 30 mm to a tenth of a millimetre."""
@@ -20,8 +22,12 @@ MAX_ROUNDS = 8
 MAX_CROSSING_ROUNDS = 16
 """Rounds in which triangles that come to cross each other are halved."""
 
-SHORTEST_MM = 1e-4
-"""Edges shorter than this are not split for that."""
+SHORTEST_SHARE = 0.1
+"""Edges shorter than this share of the chord tolerance are not split for that: what crosses there are slivers."""
+
+PATIENCE, MULTIPLIED = 4, 8
+"""Halving is given up, and taken back to where the fewest triangles crossed, after so many rounds in a row that left no
+fewer than the round before, or where it left this many times the fewest."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,7 +42,12 @@ class Carried:
         Of the map's Jacobian, in the order of ``rest.vertices()``.
     splits : mapping of tissue to number of split edges
     undecided_edges : int
-        Edges still bent beyond the tolerance when the rounds ran out.
+        Edges still bent beyond the tolerance when the rounds ran out, or that could not be split.
+    crossings_left : int
+        Pairs of triangles that come to cross in tissues that do not cross themselves as given: halving them further
+        does not make them fewer, or they are slivers.
+    unsolved : int
+        Points of the finer surfaces at which the map's rule fails, whatever the steps: they were left out.
     """
 
     rest: Anatomy
@@ -44,14 +55,50 @@ class Carried:
     determinants: Float
     splits: dict[str, int]
     undecided_edges: int
+    crossings_left: int = 0
+    unsolved: int = 0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CutAnatomy:
+    """An anatomy whose edges were halved at rest until none was longer than a length.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+        The vertices that were given come first in each tissue.
+    splits : mapping of tissue to number of split edges
+    """
+
+    anatomy: Anatomy
+    splits: dict[str, int]
+
+
+def cut_at_rest(anatomy: Anatomy, *, longest_mm: float, whole: frozenset[str]) -> CutAnatomy:
+    """The same surfaces with no edge longer than a length, for a march to be tested at: no bend hides in between.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    longest_mm : float
+    whole : frozenset of str
+        Tissues that are not split: bones that move rigidly.
+    """
+    cut = [
+        t if t.name in whole else replace(t, surface=with_short_edges(t.surface, longest_mm=longest_mm))
+        for t in anatomy
+    ]
+    more = {t.name: len(t.surface.vertices) - len(anatomy[t.name].surface.vertices) for t in cut}
+    return CutAnatomy(Anatomy(tuple(cut), anatomy.frame), {name: number for name, number in more.items() if number})
 
 
 @dataclass(slots=True)
 class _Work:
-    """One tissue on its way: its surface at rest, and position and Jacobian of each vertex."""
+    """One tissue on its way: its surface at rest, which of the riders its vertices are, and where they are."""
 
     name: str
     surface: TriMesh
+    rows: Int
     moved: Points
     jacobians: Gradients
 
@@ -71,12 +118,7 @@ def carried_finely(
     whole: frozenset[str],
     progress: Progress,
 ) -> Carried:
-    r"""Move the tissues, splitting edges whose middle would be off the map by more than the tolerance.
-
-    The middle of an edge e is off by about :math:`|(J_1 - J_0)\, e| / 8`, J the Jacobians at its ends; edges longer
-    than ``longest_mm`` are split without asking, since a bend may hide between their ends. The map is one-to-one, so
-    that fine enough surfaces of disjoint tissues stay disjoint, and those that do not cross themselves come to none:
-    where triangles still do, they are cut finer.
+    """Move the tissues by a finished map, cut finer where it bends them; see `finely_carried`.
 
     Parameters
     ----------
@@ -86,78 +128,179 @@ def carried_finely(
     whole : frozenset of str
         Tissues that are not split: bones that move rigidly.
     """
-    moved, jacobians = deformation.with_jacobian(anatomy.vertices())
-    where = anatomy.slices()
-    works = [_Work(t.name, t.surface, moved[where[t.name]], jacobians[where[t.name]]) for t in anatomy]
-    splits = dict.fromkeys((t.name for t in anatomy), 0)
-    bent_left, open_ = 0, [w for w in works if w.name not in whole]
+    cut = cut_at_rest(anatomy, longest_mm=longest_mm, whole=whole)
+    riders = PlainRiders.of(deformation, cut.anatomy.vertices())
+    return finely_carried(cut, riders, tolerance_mm=tolerance_mm, whole=whole, progress=progress)[0]
+
+
+def finely_carried(
+    cut: CutAnatomy, riders: Riders, *, tolerance_mm: float, whole: frozenset[str], progress: Progress
+) -> tuple[Carried, Riders]:
+    r"""Move the tissues, splitting edges whose middle would be off the map by more than the tolerance.
+
+    The middle of an edge e is off by about :math:`|(J_1 - J_0)\, e| / 8`, J the Jacobians at its ends; edges must be
+    short enough before that no bend hides between their ends. The map is one-to-one, so that fine enough surfaces of
+    disjoint tissues stay disjoint, and those that do not cross themselves come to none: where triangles still do, they
+    are cut finer, as long as that leaves fewer that cross.
+
+    The new vertices join the riders, which may change the map: then all that was moved before is moved anew.
+
+    Parameters
+    ----------
+    cut : CutAnatomy
+    riders : Riders
+        Of the map, with ``cut.anatomy.vertices()`` as the first that joined.
+    tolerance_mm : float
+    whole : frozenset of str
+        Tissues that are not split: bones that move rigidly.
+
+    Returns
+    -------
+    Carried, Riders
+        The tissues, and the map that they were moved by in the end.
+    """
+    refinement = _Refinement(cut, riders, tolerance_mm=tolerance_mm, whole=whole)
     with (progress or Silent()).stage("refine surfaces") as tick:
-        for done in range(MAX_ROUNDS + 1):
-            marked = [(w, e, b) for w in open_ for e, b in [_bent(w, tolerance_mm, longest_mm)] if b.any()]
-            bent_left = sum(int(bent.sum()) for _, _, bent in marked)
+        refinement.follow_bends(tick)
+        refinement.part_crossings(tick)
+    return refinement.carried(), refinement.riders
+
+
+class _Refinement:
+    """Surfaces on their way to being fine enough; the riders change with every round."""
+
+    def __init__(self, cut: CutAnatomy, riders: Riders, *, tolerance_mm: float, whole: frozenset[str]) -> None:
+        anatomy = cut.anatomy
+        self.riders = riders
+        self._cut, self._tolerance_mm = cut, tolerance_mm
+        where = anatomy.slices()
+        rows = np.arange(len(riders.moved))
+        self._works = [
+            _Work(t.name, t.surface, rows[at], riders.moved[at], riders.jacobians[at])
+            for t, at in ((t, where[t.name]) for t in anatomy)
+        ]
+        self._open = [work for work in self._works if work.name not in whole]
+        self._bent_left = self._crossings_left = self._unsolved = 0
+
+    def follow_bends(self, tick: Tick) -> None:
+        """Split what the map bends, round by round."""
+        waiting, done = self._open, 0
+        while True:
+            marked = [(w, e, b) for w in waiting for e, b in [_bent(w, self._tolerance_mm)] if b.any()]
+            self._bent_left = sum(int(bent.sum()) for _, _, bent in marked)
             if not marked or done == MAX_ROUNDS:
+                return
+            returns = self.riders.returns
+            if not self._split(marked):
+                return
+            if self.riders.returns == returns:
+                waiting, done = [work for work, _, _ in marked], done + 1
+                tick(done / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
+            else:  # what was straight enough may not be any more under another map
+                waiting = self._open
+
+    def part_crossings(self, tick: Tick) -> None:
+        """Halve what comes to cross, tissue by tissue, until it does not or halving no longer makes it fewer."""
+        given = self._cut.anatomy
+        shortest = SHORTEST_SHARE * self._tolerance_mm
+        fewest: dict[str, tuple[int, TriMesh, Int]] = {}
+        last: dict[str, int] = {}
+        idle: dict[str, int] = {}
+        waiting = [(work, pairs) for work in self._open if len(pairs := _crossing_pairs(work))]
+        # What crosses itself as given stays.
+        waiting = [(w, pairs) for w, pairs in waiting if not len(self_crossings(given[w.name].surface).pairs)]
+        for done in range(MAX_CROSSING_ROUNDS + 1):
+            marked = []
+            for work, pairs in waiting:
+                if not len(pairs):
+                    fewest.pop(work.name, None)
+                    continue
+                name, count = work.name, len(pairs)
+                if name not in fewest or count < fewest[name][0]:
+                    fewest[name] = (count, work.surface, work.rows)
+                idle[name] = idle.get(name, 0) + 1 if count >= last.get(name, count + 1) else 0
+                last[name] = count
+                edges, crossing = _longest_of_crossing(work, pairs, shortest)
+                if crossing.any() and idle[name] < PATIENCE and count < MULTIPLIED * fewest[name][0]:
+                    marked.append((work, edges, crossing))
+            if not marked or done == MAX_CROSSING_ROUNDS or not self._split(marked):
                 break
-            for work, edges, bent in marked:
-                work.surface = split_edges(work.surface, edges, bent)
-                splits[work.name] += int(bent.sum())
-            _move_new(marked, deformation)
-            open_ = [work for work, _, _ in marked]
-            tick((done + 1) / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
-        open_ = [w for w in works if w.name not in whole]
-        for done in range(MAX_CROSSING_ROUNDS):
-            marked = [(w, e, b) for w in open_ for e, b in [_crossing(w)] if b.any()]
-            if done == 0:  # what crosses itself as given stays
-                marked = [m for m in marked if not len(self_crossings(anatomy[m[0].name].surface).pairs)]
-            if not marked:
-                break
-            for work, edges, crossing in marked:
-                work.surface = split_edges(work.surface, edges, crossing)
-                splits[work.name] += int(crossing.sum())
-            _move_new(marked, deformation)
-            open_ = [work for work, _, _ in marked]
+            waiting = [(work, _crossing_pairs(work)) for work, _, _ in marked]
             tick((MAX_ROUNDS + done + 1) / (MAX_ROUNDS + MAX_CROSSING_ROUNDS))
-    tissues = [(anatomy[w.name], w) for w in works]
-    rest = Anatomy(tuple(type(t)(t.name, t.kind, w.surface) for t, w in tissues), anatomy.frame)
-    deformed = Anatomy(
-        tuple(type(t)(t.name, t.kind, w.surface.with_vertices(w.moved)) for t, w in tissues), anatomy.frame
-    )
-    determinants = np.linalg.det(np.concatenate([w.jacobians for w in works]))
-    return Carried(rest, deformed, determinants, {k: n for k, n in splits.items() if n}, bent_left)
+        for work in self._works:
+            if work.name in fewest:
+                number, work.surface, work.rows = fewest[work.name]
+                self._crossings_left += number
+        self._look_up()
+
+    def carried(self) -> Carried:
+        """The tissues as they are now."""
+        given = self._cut.anatomy
+        rest = Anatomy(tuple(replace(given[w.name], surface=w.surface) for w in self._works), given.frame)
+        deformed = Anatomy(
+            tuple(replace(given[w.name], surface=w.surface.with_vertices(w.moved)) for w in self._works), given.frame
+        )
+        more = {w.name: len(w.rows) - len(given[w.name].surface.vertices) for w in self._works}
+        splits = {name: number + self._cut.splits.get(name, 0) for name, number in more.items()}
+        return Carried(
+            rest,
+            deformed,
+            np.linalg.det(np.concatenate([w.jacobians for w in self._works])),
+            {name: number for name, number in splits.items() if number},
+            self._bent_left,
+            self._crossings_left,
+            self._unsolved,
+        )
+
+    def _split(self, marked: Sequence[tuple[_Work, FaceEdges, Bool]]) -> bool:
+        """Split the marked edges and let the new vertices join; nothing changes where the map has no place for them."""
+        finer = [split_edges(work.surface, edges, split) for work, edges, split in marked]
+        fresh = [surface.vertices[len(work.rows) :] for surface, (work, _, _) in zip(finer, marked, strict=True)]
+        joined, returns = self.riders.joined(np.concatenate(fresh)), self.riders.returns
+        if joined is None:
+            self._unsolved = sum(len(part) for part in fresh)
+            return False
+        first = len(self.riders.moved)
+        self.riders = joined
+        for (work, _, _), surface, part in zip(marked, finer, fresh, strict=True):
+            work.surface, work.rows = surface, np.append(work.rows, np.arange(first, first + len(part)))
+            first += len(part)
+        self._look_up(None if joined.returns != returns else [work for work, _, _ in marked])
+        return True
+
+    def _look_up(self, works: Sequence[_Work] | None = None) -> None:
+        """Where the vertices of some tissues are, or of all."""
+        moved, jacobians = self.riders.moved, self.riders.jacobians
+        for work in self._works if works is None else works:
+            work.moved, work.jacobians = moved[work.rows], jacobians[work.rows]
 
 
-def _move_new(marked: list[tuple[_Work, FaceEdges, Bool]], deformation: Deformation) -> None:
-    """Move the vertices that the last splits added, of all tissues in one call."""
-    fresh = [work.surface.vertices[len(work.moved) :] for work, _, _ in marked]
-    moved, jacobians = deformation.with_jacobian(np.concatenate(fresh))
-    ends = np.cumsum([len(part) for part in fresh])[:-1]
-    for (work, _, _), more, slopes in zip(marked, np.split(moved, ends), np.split(jacobians, ends), strict=True):
-        work.moved = np.vstack([work.moved, more])
-        work.jacobians = np.concatenate([work.jacobians, slopes])
+def _crossing_pairs(work: _Work) -> Int:
+    """(p, 2) pairs of triangles of a tissue that cross after the map."""
+    return self_crossings(work.surface.with_vertices(work.moved)).pairs
 
 
-def _crossing(work: _Work) -> tuple[FaceEdges, Bool]:
-    """The edges of a tissue (none where it does not cross itself after the map), and the longest of crossing triangles.
+def _longest_of_crossing(work: _Work, pairs: Int, shortest_mm: float) -> tuple[FaceEdges, Bool]:
+    """The edges of a tissue, and the longest one of each crossing triangle.
 
     What crosses are mostly caps, triangles whose apex almost lies on their longest edge: that edge alone is in the way.
     """
-    crossing = np.unique(self_crossings(work.surface.with_vertices(work.moved)).pairs)
-    if not len(crossing):
-        return FaceEdges.of(work.surface.faces[:0]), np.zeros(0, dtype=bool)
+    crossing = np.unique(pairs)
     edges = FaceEdges.of(work.surface.faces)
     a, b = edges.ends.T
     lengths = np.linalg.norm(work.surface.vertices[b] - work.surface.vertices[a], axis=1)
     faces = edges.of_face[crossing]
     marked: Bool = np.zeros(len(edges.ends), dtype=bool)
     marked[np.take_along_axis(faces, lengths[faces].argmax(axis=1)[:, None], axis=1)] = True
-    marked &= lengths > SHORTEST_MM
+    marked &= lengths > shortest_mm
     return edges, marked
 
 
-def _bent(work: _Work, tolerance_mm: float, longest_mm: float) -> tuple[FaceEdges, Bool]:
+def _bent(work: _Work, tolerance_mm: float) -> tuple[FaceEdges, Bool]:
     """The edges of a tissue, and which of them the map bends beyond the tolerance."""
     edges = FaceEdges.of(work.surface.faces)
     a, b = edges.ends.T
     along = work.surface.vertices[b] - work.surface.vertices[a]
     turned = np.einsum("eij,ej->ei", work.jacobians[b] - work.jacobians[a], along)
-    off = np.linalg.norm(turned, axis=1) / 8.0
-    return edges, (off > tolerance_mm) | (np.linalg.norm(along, axis=1) > longest_mm)
+    bent: Bool = np.linalg.norm(turned, axis=1) / 8.0 > tolerance_mm
+    return edges, bent

@@ -41,15 +41,16 @@ class RigidMotion:
         return cls(rotation, centre - rotation @ centre)
 
     @classmethod
-    def fitted(cls, source: Points, target: Points) -> Self:
-        """Least-squares rigid motion that takes ``source`` to ``target``, both (m, 3) mm.
+    def fitted(cls, source: Points, target: Points, *, weights: Float | None = None) -> Self:
+        """Least-squares rigid motion that takes ``source`` to ``target``, both (m, 3) mm, by (m,) weights if given.
 
         References
         ----------
         W. Kabsch, Acta Cryst. A32 (1976) 922.
         """
-        source_centre, target_centre = source.mean(axis=0), target.mean(axis=0)
-        u, _, vt = np.linalg.svd((target - target_centre).T @ (source - source_centre))
+        share = np.ones(len(source)) if weights is None else weights
+        source_centre, target_centre = (np.average(points, axis=0, weights=share) for points in (source, target))
+        u, _, vt = np.linalg.svd((share[:, None] * (target - target_centre)).T @ (source - source_centre))
         flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
         rotation = u @ flip @ vt
         return cls(rotation, target_centre - rotation @ source_centre)

@@ -21,7 +21,7 @@ from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, keeping_bones, kept_bones
 from musclefit.flow.lattice import march_lattice
-from musclefit.flow.march import Pace, march, one_shot, points_beside
+from musclefit.flow.march import Marching, Pace, one_shot, points_beside
 from musclefit.flow.rules import rule_for
 from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
 from musclefit.flow.steps import ExplicitStep
@@ -85,31 +85,65 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
     points : (N, 3) float64, mm
         The anatomy's vertices at rest, which the rule is tested at.
     """
+    made, groups = march_of(job, points, progress=progress)
+    free = made if isinstance(made, Deformation) else made.deformation
+    return keep_bones(job, free, points, progress=progress) if bone_limits(job) else Deformed(free, groups)
+
+
+def march_of(job: Job, points: Points, *, progress: Progress) -> tuple[Marching | Deformation, tuple[RigidGroup, ...]]:
+    """March the handles to their destinations, whatever single bones are kept from.
+
+    Parameters
+    ----------
+    job : Job
+    points : (N, 3) float64, mm
+        At rest: the rule is tested there.
+
+    Returns
+    -------
+    Marching or Deformation
+        A march at its end, which can be taken back, with ``points`` as the first that it was tested at; the map alone
+        where it was not tested there: the rule was to be tested at the landmarks, or is that of a lattice.
+    tuple of RigidGroup
+        The bones that joints move; none where they are not held.
+    """
     settings = job.rig.deformer
     rule = rule_for(settings.step, settings.step_rule)
-    pace = Pace(settings.max_steps, least_steps(job), settings.limit_share, job.stops)
+    pace = Pace(settings.max_steps, least_steps(job), settings.share, job.stops)
     if job.rig.bones.rigid:
-        stepper, tested = _bone_stepper(job, points)
-        return Deformed(march(stepper, rule=rule, tested=tested, pace=pace, progress=progress), tuple(stepper.groups))
-    tested = points if settings.tested_at is TestedAt.ALL_POINTS else points_beside(job.handles.source)
+        stepper, held = _bone_stepper(job)
+        tested = np.vstack([points, held])
+        march = Marching.begun(stepper, rule=rule, tested=tested, pace=pace, held=len(held))
+        return march.marched(progress), tuple(stepper.groups)
+    everywhere = settings.tested_at is TestedAt.ALL_POINTS
+    tested = points if everywhere else points_beside(job.handles.source)
     if settings.backend is BackendKind.LATTICE:
         lattice, displacements = _control_points(job)
-        free = march_lattice(lattice, displacements, tested=tested, max_steps=settings.max_steps)
-    else:
-        plain = HandleStepper(job.path, backend_for(settings), HANDLE_STEPS[settings.step])
-        free = march(plain, rule=rule, tested=tested, pace=pace, progress=progress)
-    limits = bone_limits(job)
-    if not limits:
-        return Deformed(free, ())
-    bones = job.rig.bones
-    kept = kept_bones(job.anatomy, free, limits=limits, contact_zone_mm=bones.contact_zone_mm)
+        return march_lattice(lattice, displacements, tested=tested, max_steps=settings.max_steps), ()
+    plain = HandleStepper(job.path, backend_for(settings), HANDLE_STEPS[settings.step])
+    march = Marching.begun(plain, rule=rule, tested=tested, pace=pace).marched(progress)
+    return (march if everywhere else march.deformation), ()
+
+
+def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progress) -> Deformed:
+    """The map corrected until single bones move as the rig keeps them.
+
+    Parameters
+    ----------
+    job : Job
+    free : Deformation
+    points : (N, 3) float64, mm
+        At rest: the rule is tested there.
+    """
+    bones, settings = job.rig.bones, job.rig.deformer
+    kept = kept_bones(job.anatomy, free, limits=bone_limits(job), contact_zone_mm=bones.contact_zone_mm)
     held = keeping_bones(
         free,
         kept,
         handles=job.handles.source,
         tested=points,
         lattices_mm=bones.kept_lattices_mm,
-        pace=Pace(settings.max_steps, 1, settings.limit_share),
+        pace=Pace(settings.max_steps, 1, settings.cayley_share),
         progress=progress,
     )
     return Deformed(held, (), kept)
@@ -205,8 +239,8 @@ def _baseline_settings(job: Job) -> DeformerSettings:
     return replace(settings, kernel=Kernel.R2_LOG_R, smoothing=0.0) if isochoric else settings
 
 
-def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
-    """The stepper that follows the bones, and the points to test at: the anatomy's, then those it holds."""
+def _bone_stepper(job: Job) -> tuple[BoneStepper, Points]:
+    """The stepper that follows the bones, and the points that it holds."""
     assert job.motions is not None  # a rig with rigid bones is driven by joints
     bones = job.rig.bones
     groups = rigid_groups(
@@ -226,7 +260,7 @@ def _bone_stepper(job: Job, points: Points) -> tuple[BoneStepper, Points]:
         lattices_mm=bones.lattices_mm,
         iterations=bones.iterations,
     )
-    return stepper, np.vstack([points, stepper.held_points()])
+    return stepper, stepper.held_points()
 
 
 def _with_spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles:

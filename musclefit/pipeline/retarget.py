@@ -14,23 +14,25 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.maps import certify_map
 from musclefit.errors import InputError
-from musclefit.flow.bones import contact_residuals, exposed_residuals
+from musclefit.flow.bones import contact_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, kept_residuals
+from musclefit.flow.residuals import surface_residuals
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
-from musclefit.flow.surfaces import Carried, carried, carried_finely
+from musclefit.flow.surfaces import Carried
 from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.deformers import (
     Deformed,
     baseline_in_words,
     bone_limits,
-    deform,
     deform_in_one_shot,
     method_in_words,
     rule_in_words,
 )
+from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finely
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
@@ -158,17 +160,16 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     if job.rig.bones.rigid:
         _refuse_colliding_bones(job, progress)
     solids = solid_anatomy(job.anatomy, progress=progress)
-    points = job.anatomy.vertices()
-    result = deform(job, points, progress=progress)
-    baseline = Deformed(deform_in_one_shot(job, points), ())
+    made = deform_finely(job, progress=progress)
+    baseline = move_finely(job, deform_in_one_shot(job, job.anatomy.vertices()), progress=progress)
     finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress)
     as_given = replace(finish, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
     of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
-    kept = _kept_findings(result)
+    kept = _kept_findings(made.deformed)
     return Retargeting(
         job=job,
         tets=tets,
-        result=finish(result, method=method_in_words(job), stage="check result"),
+        result=finish(made, method=method_in_words(job), stage="check result"),
         baseline=as_given(baseline, method=baseline_in_words(job), stage="check baseline"),
         findings=(*job.findings, *kept, *of_tets),
     )
@@ -184,8 +185,7 @@ def outcome_of(job: Job, *, rest: SolidAnatomy, progress: Progress) -> Outcome:
         The job's anatomy, prepared once for many poses.
     """
     finish = _Finisher(job, rest, None, job.rig.mesh, progress, progress)
-    moved = deform(job, job.anatomy.vertices(), progress=progress)
-    return finish(moved, method=method_in_words(job), stage="check result")
+    return finish(deform_finely(job, progress=progress), method=method_in_words(job), stage="check result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,11 +200,11 @@ class _Finisher:
     proving: Progress
     """Told of the proof: the seconds of the job's own are compared with those of its march."""
 
-    def __call__(self, deformed: Deformed, *, method: str, stage: str) -> Outcome:
-        job, deformation = self.job, deformed.deformation
-        moved = self._moved(deformed)
+    def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
+        job, deformed, deformation = self.job, made.deformed, made.deformed.deformation
+        moved = self._moved(made)
         with self.progress.stage(stage) as tick:
-            of_map = self._map(deformation, moved, rule_in_words(job.rig.deformer))
+            of_map = self._map(deformation, made.sampled, rule_in_words(job.rig.deformer))
             tets = self._tets(deformed, of_map)
             tick(0.2)
             landmarks = check_landmarks(
@@ -227,7 +227,9 @@ class _Finisher:
                 steps_rejected=deformation.rejected,
                 edges_split=sum(moved.splits.values()),
                 edges_left_bent=moved.undecided_edges,
-                bones=self._bone_field(deformed),
+                crossings_left=moved.crossings_left,
+                steps_returned=made.returns,
+                bones=self._bone_field(made),
             )
             tick(1.0)
         return Outcome(
@@ -240,21 +242,10 @@ class _Finisher:
             side,
         )
 
-    def _moved(self, deformed: Deformed) -> Carried:
-        """The tissues moved by the map, finely where the rig says so; bones that are held, by their rigid motions."""
+    def _moved(self, made: Made) -> Carried:
+        """The tissues moved by the map; bones that are held, by their rigid motions."""
+        deformed, moved = made.deformed, made.carried
         held = [*(b for group in deformed.groups for b in group.bones), *(bone.name for bone in deformed.kept)]
-        surfaces = self.job.rig.surfaces
-        if surfaces.refine:
-            moved = carried_finely(
-                self.job.anatomy,
-                deformed.deformation,
-                tolerance_mm=surfaces.chord_tolerance_mm,
-                longest_mm=surfaces.longest_edge_mm,
-                whole=frozenset(held),
-                progress=self.progress,
-            )
-        else:
-            moved = carried(self.job.anatomy, deformed.deformation)
         if not held:
             return moved
         motions = _motions(self.job, deformed)
@@ -291,10 +282,12 @@ class _Finisher:
             moved = mended_tets(moved, held, progress=self.progress)
         return moved
 
-    def _map(self, deformation: Deformation, moved: Carried, rule: str) -> MapCheck:
+    def _map(self, deformation: Deformation, looked_at: Sampled, rule: str) -> MapCheck:
         """The sampled check, and above it the proof where the rig asks for one."""
-        points = moved.rest.vertices()
-        sampled = check_map(moved.determinants, points=points, rule=rule, margin=deformation.margin)
+        points = looked_at.points
+        sampled = check_map(
+            looked_at.determinants, points=points, rule=rule, margin=deformation.margin, gap_mm=looked_at.gap_mm
+        )
         settings = self.job.rig.certificate
         if not settings.enabled or not deformation.steps:
             return sampled
@@ -314,22 +307,39 @@ class _Finisher:
             boxes_left=proof.boxes_left,
         )
 
-    def _bone_field(self, deformed: Deformed) -> BoneFieldCheck | None:
+    def _bone_field(self, made: Made) -> BoneFieldCheck | None:
+        deformed = made.deformed
         if deformed.kept:
             return _kept_field(self.job, deformed)
         if not deformed.groups:
             return None
         assert self.job.motions is not None  # held bones are moved by joints
-        exposed = exposed_residuals(deformed.groups, deformed.deformation, _final_motions(self.job))
+        motions = _final_motions(self.job)
+        between = surface_residuals(deformed.groups, deformed.deformation, motions)
         contact = contact_residuals(deformed.groups, deformed.deformation, self.job.motions)
+        own = _own_residuals(made, motions)
+        p99 = weighted_quantile(between.distances, between.areas, 0.99) if len(between.areas) else 0.0
         return BoneFieldCheck(
             contact_zone_mm=self.job.rig.bones.contact_zone_mm,
-            exposed_vertices=len(exposed),
+            exposed_vertices=len(own),
             contact_vertices=len(contact),
-            residual_p99_mm=float(np.quantile(exposed, 0.99)),
-            residual_max_mm=float(exposed.max()),
+            residual_p99_mm=p99,
+            residual_max_mm=float(max(own.max(initial=0.0), between.distances.max(initial=0.0))),
             contact_residual_max_mm=float(contact.max(initial=0.0)),
+            exposed_samples=len(between.distances),
+            gap_mm=between.gap_mm,
         )
+
+
+def _own_residuals(made: Made, motions: Mapping[str, RigidMotion]) -> Float:
+    """Distances of the map from the rigid motions at the bones' own vertices outside their contact zones, mm."""
+    found = [np.zeros(0)]
+    for group in made.deformed.groups:
+        given = [made.carried.rest[bone].surface.vertices for bone in group.bones]
+        moved = np.concatenate([made.carried.deformed[bone].surface.vertices for bone in group.bones])
+        off = np.linalg.norm(moved - motions[group.bones[0]](np.concatenate(given)), axis=1)
+        found.append(off[~group.contact[: group.given]])
+    return np.concatenate(found)
 
 
 def _mesh(tets: CarriedTets) -> MeshCheck:

@@ -90,6 +90,8 @@ def _side_properties() -> Schema:
         "steps_rejected": _count("Stretches of the path that were tried and cut shorter."),
         "edges_split": _count("Edges of the surfaces that were split because the map bends them."),
         "edges_left_bent": _count("Edges still bent beyond the tolerance."),
+        "crossings_left": _count("Pairs of triangles that come to cross and that halving does not part."),
+        "steps_returned": _count("Times that points between those tested took the march back to a step."),
         "bones": {
             "description": "The field at the bones; null where bones are not held rigid.",
             "oneOf": [_bones(), {"type": "null"}],
@@ -149,6 +151,7 @@ def _map() -> Schema:
         "place_mm": _place("The worst place, in rest positions, mm."),
         "boxes_examined": _count("Boxes of space that the proof examined; 0 where none was tried."),
         "boxes_left": _count("Boxes that it could not decide."),
+        "gap_mm": _number("No place of the surfaces is farther from a tested point, mm; null where it is not known."),
     }
     return _record(properties, "Is the map one-to-one?")
 
@@ -158,6 +161,8 @@ def _bones() -> Schema:
     properties = {
         "contact_zone_mm": _number("Places of a bone that come closer than this to one that moves otherwise, mm."),
         "exposed_vertices": _count("The bones' own vertices outside the contact zone."),
+        "exposed_samples": _count("Places of the exposed surface between those where the field is held."),
+        "gap_mm": _number("No place of that surface is farther from one of these, mm; null where it is not known."),
         "contact_vertices": _count("Samples inside it, where the field may slip along the bone."),
         "field_residual_mm": _record(residual, "Distance of the field from the rigid motion at the exposed samples."),
         "contact_residual_max_mm": _number(

@@ -63,6 +63,10 @@ class Side:
         Stretches of the path that were tried and cut shorter.
     edges_split, edges_left_bent : int
         Edges of the surfaces that were split because the map bends them, and those still bent beyond the tolerance.
+    crossings_left : int
+        Pairs of triangles that come to cross though the map does not fold, and that halving does not part.
+    steps_returned : int
+        Times that the march was taken back to a step because points between those tested needed a shorter one.
     bones : BoneFieldCheck or None
         None where bones are not held rigid.
     """
@@ -78,6 +82,8 @@ class Side:
     steps_rejected: int = 0
     edges_split: int = 0
     edges_left_bent: int = 0
+    crossings_left: int = 0
+    steps_returned: int = 0
     bones: BoneFieldCheck | None = None
 
     @property

@@ -119,6 +119,8 @@ def _side(side: Side, limits: Limits) -> Json:
         "steps_rejected": int(side.steps_rejected),
         "edges_split": int(side.edges_split),
         "edges_left_bent": int(side.edges_left_bent),
+        "crossings_left": int(side.crossings_left),
+        "steps_returned": int(side.steps_returned),
         "bones": None if side.bones is None else _bones(side.bones),
         "tissues": [_tissue(t) for t in side.tissues],
         "overlaps": [_pair(p) for p in side.overlaps.pairs],
@@ -144,6 +146,7 @@ def _map(found: MapCheck) -> Json:
         "place_mm": [_number(x) for x in found.place_mm],
         "boxes_examined": int(found.boxes_examined),
         "boxes_left": int(found.boxes_left),
+        "gap_mm": None if found.gap_mm is None else _number(found.gap_mm),
     }
 
 
@@ -151,6 +154,8 @@ def _bones(found: BoneFieldCheck) -> Json:
     return {
         "contact_zone_mm": _number(found.contact_zone_mm),
         "exposed_vertices": int(found.exposed_vertices),
+        "exposed_samples": int(found.exposed_samples),
+        "gap_mm": None if found.gap_mm is None else _number(found.gap_mm),
         "contact_vertices": int(found.contact_vertices),
         "field_residual_mm": {"p99": _number(found.residual_p99_mm), "max": _number(found.residual_max_mm)},
         "contact_residual_max_mm": _number(found.contact_residual_max_mm),

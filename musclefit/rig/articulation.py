@@ -9,23 +9,28 @@ import numpy as np
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.distances import nearest_places
-from musclefit.geometry.fitting import CylinderFit, SphereFit, fitted_cylinder, fitted_sphere
+from musclefit.geometry.fitting import CylinderFit, SphereFit, fitted_cylinder, fitted_sphere, weighted_quantile
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.surface_samples import surface_samples
 from musclefit.geometry.volumes import area_vectors
 from musclefit.rig.joint_kinds import JointKind
 
 WITHIN_MM = 5.0
-"""How close a triangle must come to the other bone to count as part of the joint's surface."""
+"""How close a place must come to the other bone to count as part of the joint's surface."""
+
+SAMPLES_WITHIN = 5.0
+"""The surfaces are cut until their triangles reach no farther than that distance over this from their corners."""
 
 FACING = 0.5
-"""Least cosine between a triangle's normal and the way to the other bone."""
+"""Least cosine between the surface's normal and the way to the other bone."""
 
 TRIM = 2.5
-"""Points left over by more than this many times the median are left out, and the fit made again."""
+"""Places left over by more than this many times the median, by area, are left out, and the fit made again."""
 
 TRIM_ROUNDS = 5
 
 FEWEST = 30
+"""Samples that a fit needs; as they are cut alike, they stand for an area."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,20 +43,22 @@ class FittedJoint:
         Whose surface: "fixed" or "moving".
     fit : CylinderFit or SphereFit
         Of a hinge, or of a ball.
-    used, left_out : int
-        Triangles that the fit rests on, and those of the joint's surface that it does not fit.
+    used_mm2, left_out_mm2 : float
+        Area that the fit rests on, and that of the joint's surface that it does not fit.
     """
 
     of: str
     fit: CylinderFit | SphereFit
-    used: int
-    left_out: int
+    used_mm2: float
+    left_out_mm2: float
 
 
 def fitted_joint(
     fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm: float = WITHIN_MM
 ) -> tuple[FittedJoint, ...]:
     """Fit a hinge or a ball to each of two bones where it faces the other; the better fit first.
+
+    Every place counts by its area, however finely the surfaces are cut.
 
     Parameters
     ----------
@@ -76,43 +83,57 @@ def fitted_joint(
         raise InputError(f"found kind {str(kind)!r}; only a hinge and a ball can be fitted to two bones")
     found = []
     for of, own, other in (("fixed", fixed, moving), ("moving", moving, fixed)):
-        points, normals, _ = facing_triangles(own, other, within_mm=within_mm)
+        points, normals, areas = facing_triangles(own, other, within_mm=within_mm)
         if len(points) < FEWEST:
             raise InputError(
-                f"{len(points)} triangles of the {of} bone face the other within {within_mm:g} mm; a fit needs "
-                f"{FEWEST}: give bones that meet in a joint, or a larger distance"
+                f"{areas.sum():.3g} mm² of the {of} bone face the other within {within_mm:g} mm ({len(points)} "
+                f"samples; a fit needs {FEWEST}): give bones that meet in a joint, or a larger distance"
             )
         kept = np.ones(len(points), dtype=bool)
+        fit = _fit(points, normals, areas, kind)
         for _ in range(TRIM_ROUNDS):
-            fit = _fit(points[kept], normals[kept], kind)
             off = np.abs(_off(fit, points))
-            fresh = off <= TRIM * max(float(np.median(off[kept])), 1e-9)
+            fresh = off <= TRIM * max(weighted_quantile(off[kept], areas[kept], 0.5), 1e-9)
             if (fresh == kept).all() or fresh.sum() < FEWEST:
                 break
             kept = fresh
-        found.append(FittedJoint(of, fit, int(kept.sum()), int((~kept).sum())))
+            fit = _fit(points[kept], normals[kept], areas[kept], kind, before=fit)
+        found.append(FittedJoint(of, fit, float(areas[kept].sum()), float(areas[~kept].sum())))
     return tuple(sorted(found, key=lambda joint: joint.fit.rms / joint.fit.radius))
 
 
 def facing_triangles(own: TriMesh, other: TriMesh, *, within_mm: float) -> tuple[Points, Points, Float]:
-    """Middles, outward normals and areas of the triangles of a surface that face another one close by."""
-    vectors = area_vectors(own)
+    """Middles, outward normals and areas of the small triangles of a surface that face another one close by.
+
+    The surface is cut to samples (`surface_samples`) first, so that they are alike whatever triangles it has.
+    """
+    low, high = other.vertices.min(axis=0) - within_mm, other.vertices.max(axis=0) + within_mm
+    corners = own.corners()
+    near = ((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1)
+    if not near.any():
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    part = surface_samples(TriMesh(own.vertices, own.faces[near]), spacing_mm=within_mm / SAMPLES_WITHIN).mesh
+    vectors = area_vectors(part)
     areas = np.linalg.norm(vectors, axis=1)
     normals = vectors / np.where(areas > 0.0, areas, 1.0)[:, None]
-    middles = own.corners().mean(axis=1)
-    low, high = other.vertices.min(axis=0) - within_mm, other.vertices.max(axis=0) + within_mm
-    near = np.flatnonzero(((middles > low) & (middles < high)).all(axis=1) & (areas > 0.0))
-    if not near.size:
+    middles = part.corners().mean(axis=1)
+    inside = np.flatnonzero(((middles > low) & (middles < high)).all(axis=1) & (areas > 0.0))
+    if not inside.size:
         return middles[:0], normals[:0], areas[:0]
-    places = nearest_places(middles[near], other)
-    way = (places.places - middles[near]) / np.maximum(places.distances, 1e-12)[:, None]
-    facing = (places.distances < within_mm) & (np.einsum("ti,ti->t", way, normals[near]) > FACING)
-    chosen = near[facing]
+    places = nearest_places(middles[inside], other)
+    way = (places.places - middles[inside]) / np.maximum(places.distances, 1e-12)[:, None]
+    facing = (places.distances < within_mm) & (np.einsum("ti,ti->t", way, normals[inside]) > FACING)
+    chosen = inside[facing]
     return middles[chosen], normals[chosen], areas[chosen]
 
 
-def _fit(points: Points, normals: Points, kind: JointKind) -> CylinderFit | SphereFit:
-    return fitted_sphere(points) if kind is JointKind.BALL else fitted_cylinder(points, normals)
+def _fit(
+    points: Points, normals: Points, areas: Float, kind: JointKind, *, before: CylinderFit | SphereFit | None = None
+) -> CylinderFit | SphereFit:
+    if kind is JointKind.BALL:
+        return fitted_sphere(points, weights=areas)
+    near = before.axis if isinstance(before, CylinderFit) else None
+    return fitted_cylinder(points, normals, weights=areas, near=near)
 
 
 def _off(fit: CylinderFit | SphereFit, points: Points) -> Float:

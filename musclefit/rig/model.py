@@ -261,7 +261,8 @@ class DeformerSettings:
     """Which field, which steps, how many.
 
     The path is cut into at least ``min_steps`` stretches, and into so many that in none a joint turns by more than
-    ``degrees_per_step``; no step uses more than ``limit_share`` of its rule's limit.
+    ``degrees_per_step``; no step uses more than ``limit_share`` of its rule's limit, and an implicit one keeps at least
+    ``margin_floor`` of it: where it kept next to nothing, other points between those tested are likely to fail.
     ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
     most, each of half the spacing of the one before) are for free-form deformation by handles.
     ``smoothing`` lets radial sums miss noisy handles: it is added to the diagonal of the kernel's matrix.
@@ -270,7 +271,7 @@ class DeformerSettings:
     ------
     RigError
         ``max_steps``, ``min_steps`` or ``lattice_levels`` below 1, a negative smoothing, a share that is not in (0, 1],
-        an angle that is not in (0, 360], or a spacing that is not positive and finite.
+        a floor that is not in [0, 1), an angle that is not in (0, 360], or a spacing that is not positive and finite.
     """
 
     backend: BackendKind = BackendKind.RBF
@@ -283,6 +284,7 @@ class DeformerSettings:
     min_steps: int = 1
     degrees_per_step: float = 360.0
     limit_share: float = 1.0
+    margin_floor: float = 0.2
     lattice_spacing_mm: float = 20.0
     lattice_levels: int = 6
     smoothing: float = 0.0
@@ -296,6 +298,8 @@ class DeformerSettings:
             )
         if not 0.0 < self.limit_share <= 1.0:
             raise RigError(f"deformer.limit_share: found {self.limit_share}; expected a share above 0 and up to 1")
+        if not 0.0 <= self.margin_floor < 1.0:
+            raise RigError(f"deformer.margin_floor: found {self.margin_floor}; expected a share of at least 0, below 1")
         _at_least_one("deformer.lattice_levels", self.lattice_levels)
         if not 0.0 <= self.smoothing < math.inf:
             raise RigError(f"deformer.smoothing: found {self.smoothing}; expected a finite number of at least 0")
@@ -303,6 +307,16 @@ class DeformerSettings:
             raise RigError(
                 f"deformer.lattice_spacing_mm: found {self.lattice_spacing_mm}; expected a finite spacing above 0"
             )
+
+    @property
+    def share(self) -> float:
+        """How much of its rule's limit a step of this kind may use."""
+        return self.limit_share if self.step is StepKind.EXPLICIT else self.cayley_share
+
+    @property
+    def cayley_share(self) -> float:
+        """How much of its rule's limit an implicit step may use."""
+        return min(self.limit_share, 1.0 - self.margin_floor)
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,6 +86,7 @@ _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
         "min_steps",
         "degrees_per_step",
         "limit_share",
+        "margin_floor",
     ),
 }
 """Keys of the deformer that a backend has no use for."""
@@ -125,6 +126,12 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     drive = _drive(root.section("drive"))
     deformer = _deformer(_optional(root, "deformer"))
     bones = _record(BoneSettings, _optional(root, "bones"))
+    if deformer.step is StepKind.EXPLICIT and not (bones.keep_rigid or bones.keep_similar):
+        section = _optional(root, "deformer")
+        if "margin_floor" in section:
+            raise section.error(
+                "margin_floor", 'has no effect on "explicit" steps, which go as far as their rule allows; remove it'
+            )
     surfaces = _record(SurfaceSettings, _optional(root, "surfaces"))
     certificate = _record(CertificateSettings, _optional(root, "certificate"))
     tets = _record(TetSettings, _optional(root, "tets"))

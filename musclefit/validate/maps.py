@@ -9,7 +9,9 @@ from musclefit.geometry.arrays import Float, Points
 from musclefit.validate.model import MapCheck, MapClaim
 
 
-def check_map(determinants: Float, *, points: Points, rule: str, margin: float) -> MapCheck:
+def check_map(
+    determinants: Float, *, points: Points, rule: str, margin: float, gap_mm: float | None = None
+) -> MapCheck:
     """Count the tested points where the map's Jacobian determinant is not positive.
 
     Parameters
@@ -22,6 +24,8 @@ def check_map(determinants: Float, *, points: Points, rule: str, margin: float) 
         What ``margin`` was judged by, in words.
     margin : float
         Smallest over all steps and tested points: 1 at rest, 0 at the rule's limit, negative beyond.
+    gap_mm : float or None
+        No place of the surfaces is farther from one of the points; None where they are no samples of surfaces.
 
     Returns
     -------
@@ -48,4 +52,5 @@ def check_map(determinants: Float, *, points: Points, rule: str, margin: float) 
         folded_points=folded,
         min_jacobian_determinant=float(determinants[worst]),
         place_mm=(x, y, z),
+        gap_mm=gap_mm,
     )

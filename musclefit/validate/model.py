@@ -39,6 +39,7 @@ class MapCheck:
 
     ``margin`` is how far the worst place stays from the limit of the rule (0 at the limit, 1 at rest), over all steps;
     ``folded_points`` counts tested points with det of the whole Jacobian <= 0; ``place_mm`` is the worst place at rest.
+    The points sample the surfaces: no place of them is farther than ``gap_mm`` from one (None: not known).
     Where a proof was tried, ``boxes_examined`` says how many boxes of space it took and ``boxes_left`` how many stay
     undecided; ``margin`` is proved when the claim is certified.
     """
@@ -52,6 +53,7 @@ class MapCheck:
     place_mm: tuple[float, float, float]
     boxes_examined: int = 0
     boxes_left: int = 0
+    gap_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +134,9 @@ class MeshCheck:
 class TissueCheck:
     """One tissue after the deformation.
 
-    ``rigidity_mm`` is for bones: the largest distance of a vertex from where a rigid motion takes it
-    (``rigidity_reference`` says which: "prescribed" by the joints, or the "best fit"); None for other kinds.
+    ``rigidity_mm`` is for bones: the largest distance of a place of the surface from where a rigid motion takes it,
+    which is at a vertex (``rigidity_reference`` says which motion: "prescribed" by the joints, or the "best fit" by
+    area); None for other kinds.
     Volumes outside the skin are None where there is no skin, and for the skin itself.
     """
 
@@ -153,8 +156,10 @@ class TissueCheck:
 class BoneFieldCheck:
     """How well the field agrees with the rigid motions of the bones, which themselves are moved exactly.
 
-    ``residual`` is at the exposed vertices of the bones; ``contact_residual_max_mm`` is the largest distance of a
-    vertex of the contact zone from the surface of its own bone: the field may slip along it there.
+    ``residual`` is on the exposed surface of the bones: its largest at their own exposed vertices and at
+    ``exposed_samples`` between the places where the field is held, no place of the surface farther than ``gap_mm`` from
+    one; its 99th percentile by area at these samples. ``contact_residual_max_mm`` is the largest distance of a sample
+    of the contact zone from the surface of its own bone: the field may slip along it there.
     """
 
     contact_zone_mm: float
@@ -163,6 +168,8 @@ class BoneFieldCheck:
     residual_p99_mm: float
     residual_max_mm: float
     contact_residual_max_mm: float
+    exposed_samples: int = 0
+    gap_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

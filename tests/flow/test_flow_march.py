@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from oracles import row_norm_fraction
@@ -9,7 +11,7 @@ from oracles import row_norm_fraction
 from musclefit.errors import NotConvergedError
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.march import Pace, march, one_shot, points_beside
+from musclefit.flow.march import Marching, Pace, march, one_shot, points_beside
 from musclefit.flow.rules import (
     cayley_fractions,
     gershgorin_fractions,
@@ -171,3 +173,142 @@ def test_a_straight_path_that_turns_by_half_stalls_where_a_bone_path_would_not()
         pace=Pace(100),
     )
     assert loop.status is not Status.CONVERGED
+
+
+# --- what joins later
+
+
+SPARSE = np.array([[x, y] for x in (0.0, 100.0) for y in (0.0, 50.0, 100.0)])
+DENSE = np.stack(np.meshgrid(*[np.linspace(30.0, 70.0, 81)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+FLOOR = 0.2
+
+
+def sparse_march(distance: float = 20.0, *, min_steps: int = 4) -> Marching:
+    """Tested so far from where the field is steep that it sees next to nothing."""
+    stepper = HandleStepper(squeeze(distance), RadialBackend("r3"), cayley_step)
+    pace = Pace(100, min_steps, 1.0 - FLOOR)
+    return Marching.begun(stepper, rule=cayley_fractions, tested=SPARSE, pace=pace).marched()
+
+
+def margins_at(march: Marching, points: np.ndarray) -> list[float]:
+    """The margin of every step at points, by the rule's own definition, or -1 where a step has no solution there."""
+    found, here = [], points
+    for step in march.deformation.steps:
+        try:
+            trial = step.trial(here)
+        except NotConvergedError:
+            return [*found, -1.0]
+        found.append(1.0 - 1.0 / float(cayley_fractions(trial.gradients).min()))
+        here = trial.moved
+    return found
+
+
+def test_a_march_that_coarse_points_let_through_is_taken_back_by_the_points_between() -> None:
+    first = sparse_march()
+    assert first.status is Status.CONVERGED
+    assert min(margins_at(first, DENSE)) < FLOOR, "the coarse points hide it"
+    taken_back = first.joined(DENSE)
+    assert taken_back.status is None
+    assert taken_back.returns == 1
+    again = taken_back.marched()
+    assert again.status is Status.CONVERGED
+    assert min(margins_at(again, DENSE)) >= FLOOR
+    assert again.deformation.margin == pytest.approx(min(margins_at(again, np.vstack([SPARSE, DENSE]))), abs=1e-9)
+    for known, found in zip(
+        (again.moved, again.jacobians),
+        Deformation(again.deformation.steps, (), Status.CONVERGED).with_jacobian(np.vstack([SPARSE, DENSE])),
+        strict=True,
+    ):
+        np.testing.assert_allclose(known, found, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again.deformation(squeeze(20.0).source), squeeze(20.0).target, rtol=0, atol=1e-9)
+
+
+def test_the_steps_before_the_one_that_offends_stay() -> None:
+    """In the second of the steps the coarse points hide too much: the first is the same object as before."""
+    first = sparse_march(24.0, min_steps=6)
+    margins, late = margins_at(first, DENSE), DENSE
+    offending = next(k for k, margin in enumerate(margins) if margin < FLOOR)
+    taken_back = first.joined(late)
+    assert len(taken_back.stretches) == offending > 0
+    for before, after in zip(first.stretches, taken_back.stretches, strict=False):
+        assert all(a is b for a, b in zip(before.steps, after.steps, strict=True))
+    start, end = first.stretches[offending].start, first.stretches[offending].end
+    again = taken_back.marched()
+    shorter = again.stretches[offending]
+    assert shorter.start == start
+    assert shorter.end < end
+    assert end in shorter.records[0].rejected
+    alone = Deformation(again.deformation.steps, (), Status.CONVERGED).with_jacobian(np.vstack([SPARSE, late]))
+    np.testing.assert_allclose(again.moved, alone[0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again.jacobians, alone[1], rtol=0, atol=1e-9)
+
+
+def test_points_that_nothing_forbids_join_without_a_step_back() -> None:
+    first = sparse_march()
+    far = np.array([[5.0, 95.0], [95.0, 5.0]])
+    joined = first.joined(far)
+    assert joined.status is Status.CONVERGED
+    assert joined.returns == 0
+    assert joined.deformation.steps == first.deformation.steps
+    np.testing.assert_array_equal(joined.moved[: len(SPARSE)], first.moved)
+    np.testing.assert_allclose(joined.moved[len(SPARSE) :], first.deformation(far), rtol=0, atol=1e-12)
+
+
+def test_the_steppers_own_points_stay_last() -> None:
+    stepper = HandleStepper(squeeze(20.0), RadialBackend("r3"), cayley_step)
+    pace = Pace(100, 4, 1.0 - FLOOR)
+    march = Marching.begun(stepper, rule=cayley_fractions, tested=SPARSE, pace=pace, held=2).marched()
+    for found in (march.joined(np.array([[5.0, 95.0]])), march.joined(DENSE), march.joined(DENSE).marched()):
+        np.testing.assert_array_equal(found.tested[-2:], SPARSE[-2:])
+        np.testing.assert_array_equal(found.tested[:4], SPARSE[:4])
+
+
+def test_a_step_with_no_solution_for_a_point_that_joins_is_made_shorter() -> None:
+    """With no floor and a single long step, points near the handles have no solution at all."""
+    stepper = HandleStepper(squeeze(30.0), RadialBackend("r3"), cayley_step)
+    first = Marching.begun(stepper, rule=cayley_fractions, tested=SPARSE, pace=Pace(300)).marched()
+    assert margins_at(first, DENSE)[-1] <= 0.0
+    again = first.joined(DENSE).marched()
+    assert min(margins_at(again, DENSE)) > 0.0
+    assert len(again.stretches) > len(first.stretches)
+
+
+def test_explicit_steps_that_points_between_forbid_are_made_anew_as_eq_6_allows() -> None:
+    stepper = HandleStepper(squeeze(20.0), RadialBackend("r3"), explicit_step)
+    first = Marching.begun(stepper, rule=row_norm_fractions, tested=SPARSE, pace=Pace(60)).marched()
+    again = first.joined(DENSE)
+    assert again.status is None
+    whole = march(stepper, rule=row_norm_fractions, tested=np.vstack([SPARSE, DENSE]), pace=Pace(60))
+    assert [r.end for r in again.marched().deformation.records] == pytest.approx([r.end for r in whole.records])
+
+
+def test_a_share_below_one_is_a_margin_that_every_step_keeps() -> None:
+    stepper = HandleStepper(squeeze(20.0), RadialBackend("r3"), cayley_step)
+    free, kept = (
+        march(stepper, rule=cayley_fractions, tested=GRID, pace=Pace(200, share=share)) for share in (1.0, 1.0 - FLOOR)
+    )
+    assert free.margin < FLOOR <= kept.margin
+    assert kept.status is Status.CONVERGED
+
+
+def test_a_march_that_was_slowed_goes_faster_again_where_it_may() -> None:
+    """A rule that is strict once: the short stretch it forces is followed by longer ones, each by half at most."""
+    calls = []
+
+    def strict_once(gradients):
+        calls.append(None)
+        return cayley_fractions(gradients) * (0.05 if len(calls) == 1 else 1.0)
+
+    stepper = HandleStepper(squeeze(6.0), RadialBackend("r3"), cayley_step)
+    found = march(stepper, rule=strict_once, tested=GRID, pace=Pace(200, 2, 1.0 - FLOOR))
+    lengths = [record.end - record.start for record in found.records]
+    assert len(found.records[0].rejected) == 1
+    assert max(lengths) > 1.4 * lengths[0]
+    assert all(b < 1.5 * a + 1e-9 for a, b in pairwise(lengths))
+
+
+def test_what_is_left_of_a_path_is_cut_into_equal_parts() -> None:
+    """No last crumb of a stretch after a rejection made the reach an odd one."""
+    found = sparse_march().joined(DENSE).marched()
+    lengths = [stretch.end - stretch.start for stretch in found.stretches]
+    assert min(lengths) > 0.3 * max(lengths)

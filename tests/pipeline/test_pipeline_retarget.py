@@ -15,7 +15,7 @@ from tiny_rigs import BEND_DEG, LANDMARKS, TISSUES, drive_by_joints, exchanged_r
 
 import musclefit
 from musclefit.certify.meshes import certify_mesh
-from musclefit.errors import NotConvergedError
+from musclefit.errors import NotConvergedError, RigError
 from musclefit.figures.stills import Stills
 from musclefit.flow.deformation import Status
 from musclefit.geometry.meshes import TriMesh
@@ -303,3 +303,52 @@ def test_the_real_forearm_tells_what_folds_overlaps_bends_and_shrinks(forearm: R
     failed = {check["name"] for check in said["checks"] if not check["passed"]}
     assert failed >= {"bone off rigid", "muscle volume change"}
     assert said["mesh"] is None
+
+
+# --- where the map is looked at
+
+
+IMPLICIT = ("deformer.step=cayley", "deformer.kernel=isochoric-r3")
+
+
+def test_an_implicit_march_keeps_its_floor_on_surfaces_cut_before_it(rig: Path) -> None:
+    result = run(rig, *IMPLICIT, "surfaces.refine=true", "surfaces.longest_edge_mm=2.0").result
+    side = result.side
+    assert side.map.gap_mm is not None
+    assert side.map.gap_mm <= 2.0 / math.sqrt(3.0) + 1e-9
+    assert result.deformation.margin >= 0.2
+    assert side.map.points_tested == len(result.rest.vertices())
+    corners = np.concatenate([t.surface.corners() for t in result.rest])
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 2.0
+    alone = result.deformation.jacobian(result.rest.vertices())
+    np.testing.assert_allclose(result.determinants, np.linalg.det(alone), rtol=1e-9)
+    assert side.steps_returned == 0
+    said = json.loads(json.dumps(to_json(run(rig, *IMPLICIT).report)))
+    assert said["map"]["gap_mm"] > 0.0
+    assert {"steps_returned", "crossings_left"} <= set(said)
+
+
+def test_a_coarse_surface_is_looked_at_between_its_vertices(rig: Path) -> None:
+    result = run(rig, "surfaces.longest_edge_mm=1.0").result
+    assert result.side.map.points_tested > 2 * len(result.rest.vertices())
+    assert len(result.determinants) == len(result.rest.vertices())
+
+
+def test_the_paper_s_loop_is_tested_at_the_vertices_alone(rig: Path) -> None:
+    """Looking closer at the end changes no step of the loop."""
+    coarse, fine = (run(rig, f"surfaces.longest_edge_mm={length}").result for length in (1.0, 100.0))
+    assert coarse.deformation.records == fine.deformation.records
+
+
+def test_a_higher_floor_makes_more_steps(rig: Path) -> None:
+    drive_by_joints(rig)
+    low, high = (run(rig, *IMPLICIT, f"deformer.margin_floor={floor}").result for floor in (0.0, 0.97))
+    assert high.deformation.margin >= 0.97 > low.deformation.margin
+    assert high.side.steps > low.side.steps
+
+
+def test_a_floor_without_implicit_steps_is_refused(rig: Path) -> None:
+    with pytest.raises(RigError, match=r"deformer.margin_floor: has no effect on \"explicit\" steps"):
+        musclefit.read_rig(rig, overrides=["deformer.margin_floor=0.3"])
+    with pytest.raises(RigError, match=r"deformer.margin_floor: found 1.0; expected a share of at least 0, below 1"):
+        musclefit.read_rig(rig, overrides=[*IMPLICIT, "deformer.margin_floor=1.0"])

@@ -9,6 +9,7 @@ import trimesh
 from musclefit.errors import InputError
 from musclefit.geometry.fitting import CylinderFit, fitted_cylinder, fitted_sphere
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.subdivision import FaceEdges, split_edges
 from musclefit.rig.articulation import fitted_joint
 from musclefit.rig.joint_kinds import JointKind
 
@@ -105,9 +106,62 @@ def test_a_hinge_is_found_between_a_roller_and_its_bed() -> None:
         np.testing.assert_allclose(found.fit.centre[:2], [0, 0], rtol=0, atol=0.1)
 
 
+def half_cut(surface: TriMesh, *, longest_mm: float) -> TriMesh:
+    """The same surface with one half cut much finer."""
+    finer = surface
+    while True:
+        edges = FaceEdges.of(finer.faces)
+        ends = finer.vertices[edges.ends]
+        there = ends.mean(axis=1)[:, 0] > np.median(surface.vertices[:, 0])
+        long = there & (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > longest_mm)
+        if not long.any():
+            return finer
+        finer = split_edges(finer, edges, long)
+
+
+def lopsided(radius: float, **cut: float) -> TriMesh:
+    """A ball whose one half is a little larger, in the finite triangles of a bone, cut or not."""
+    solid = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    vertices = np.asarray(solid.vertices) * np.where(np.asarray(solid.vertices)[:, :1] > 0.0, 1.06, 1.0)
+    found = TriMesh(vertices + CENTRE, np.asarray(solid.faces))
+    return half_cut(found, **cut) if cut else found
+
+
+def test_a_joint_does_not_see_how_finely_a_part_of_its_surface_is_cut() -> None:
+    """The two halves of the ball fit two spheres; what lies between them must not lean to the finer one."""
+    cup, _ = shell(20.0, 23.0)
+    coarse, fine = lopsided(20.0), lopsided(20.0, longest_mm=0.4)
+    assert len(fine.faces) > 10 * len(coarse.faces)
+    fits = [
+        next(fit for fit in fitted_joint(cup, ball, kind=JointKind.BALL, within_mm=5.0) if fit.of == "moving")
+        for ball in (coarse, fine)
+    ]
+    np.testing.assert_allclose(fits[1].fit.centre, fits[0].fit.centre, rtol=0, atol=0.02)
+    assert fits[1].fit.radius == pytest.approx(fits[0].fit.radius, abs=0.02)
+    assert fits[1].used_mm2 == pytest.approx(fits[0].used_mm2, rel=0.05)
+
+
+def test_a_hinge_does_not_see_how_finely_a_part_of_its_surface_is_cut() -> None:
+    roller = trimesh.creation.cylinder(radius=10.0, height=16.0, sections=24)
+    bed = trimesh.creation.annulus(r_min=12.0, r_max=16.0, height=16.0, sections=24)
+    cone = np.array(roller.vertices) * (1.0 + 0.004 * np.array(roller.vertices)[:, 2:] * [1.0, 0.5, 0.0])
+    coarse = TriMesh(cone, np.asarray(roller.faces))
+    axes = [
+        next(fit.fit for fit in fitted_joint(mesh(bed), own, kind=JointKind.HINGE) if fit.of == "moving")
+        for own in (coarse, half_cut(coarse, longest_mm=1.2))
+    ]
+    assert isinstance(axes[0], CylinderFit)
+    assert isinstance(axes[1], CylinderFit)
+    assert np.degrees(np.arccos(min(1.0, abs(axes[0].axis @ axes[1].axis)))) < 0.1
+    off = axes[1].centre - axes[0].centre
+    assert np.linalg.norm(off - (off @ axes[0].axis) * axes[0].axis) < 0.02
+
+
 def test_bones_that_do_not_meet_are_refused() -> None:
     cup, ball = shell(20.0, 30.0)
-    with pytest.raises(InputError, match=r"0 triangles of the fixed bone face the other within 3 mm; a fit needs 30"):
+    with pytest.raises(
+        InputError, match=r"0 mm² of the fixed bone face the other within 3 mm \(0 samples; a fit needs 30\)"
+    ):
         fitted_joint(cup, ball, kind=JointKind.BALL, within_mm=3.0)
     with pytest.raises(InputError, match="found kind 'screw'; only a hinge and a ball"):
         fitted_joint(cup, ball, kind=JointKind.SCREW)

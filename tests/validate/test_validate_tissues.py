@@ -10,6 +10,7 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.subdivision import FaceEdges, split_edges
 from musclefit.validate.model import OutsideCheck, OutsideSkin
 from musclefit.validate.tissues import BEST_FIT, PRESCRIBED, check_tissues
 
@@ -71,6 +72,26 @@ def test_a_stretched_bone_is_off_its_best_fit_by_half_the_stretch() -> None:
     vertices[tibia, 2] *= 1.2  # from 2 to 2.4 mm: each end moves 0.2 mm
     checks = check_tissues(rest, rest.with_vertices(vertices), motions={}, outside=NOTHING_OUTSIDE)
     np.testing.assert_allclose(checks[-1].rigidity_mm, 0.2, rtol=1e-9)
+
+
+def test_the_best_fit_does_not_lean_to_where_a_bone_is_cut_finely() -> None:
+    """A bone whose one end is bent aside: the same distance from rigid, however small the triangles of that end are."""
+    rod = trimesh.creation.box(extents=(60.0, 6.0, 6.0)).subdivide_to_size(4.0)
+    coarse = TriMesh(np.asarray(rod.vertices), np.asarray(rod.faces))
+    edges = FaceEdges.of(coarse.faces)
+    fine = coarse
+    for _ in range(4):
+        edges = FaceEdges.of(fine.faces)
+        fine = split_edges(fine, edges, (fine.vertices[edges.ends][:, :, 0] > 10.0).all(axis=1))
+    found = []
+    for surface in (coarse, fine):
+        rest = Anatomy((Tissue("rod", TissueKind.BONE, surface),), "x")
+        aside = np.zeros_like(surface.vertices)
+        aside[:, 1] = 0.1 * np.interp(surface.vertices[:, 0], [-30.0, 10.0, 30.0], [0.0, 0.0, 20.0])
+        moved = rest.with_vertices(surface.vertices + aside)
+        found.append(check_tissues(rest, moved, motions={}, outside=NOTHING_OUTSIDE)[0].rigidity_mm)
+    assert len(fine.faces) > 10 * len(coarse.faces)
+    np.testing.assert_allclose(found[1], found[0], rtol=0.02)
 
 
 def test_volumes_outside_the_skin_are_taken_over() -> None:

@@ -1,0 +1,255 @@
+"""The march and the surfaces that it is tested at: cut at rest, marched, cut finer where the map bends them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from musclefit.anatomy.model import Anatomy
+from musclefit.errors import NotConvergedError
+from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.kept import KeptBone
+from musclefit.flow.riding import MAX_RETURNS, Riders, riders_of
+from musclefit.flow.rules import cayley_fractions
+from musclefit.flow.surfaces import Carried, CutAnatomy, carried_finely, cut_at_rest, finely_carried
+from musclefit.geometry.arrays import Float, Gradients, Points
+from musclefit.geometry.surface_samples import EDGES_PER_SPACING, surface_samples
+from musclefit.geometry.volumes import area_vectors
+from musclefit.pipeline.deformers import Deformed, bone_limits, keep_bones, march_of
+from musclefit.progress import Progress
+from musclefit.rig.job import Job
+from musclefit.rig.model import StepKind, TestedAt
+
+FEWEST_SAMPLES = 50_000
+"""Surfaces are sampled as closely as the rig's longest edge says, but with no more samples than about this many, or
+than the anatomy has vertices."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sampled:
+    """Where a map was looked at.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, mm
+        At rest: the vertices of the surfaces, then what lies between them.
+    determinants : (N,) float64
+        Of the map's Jacobian there; not a number where the map has no value.
+    gap_mm : float
+        No place of a surface is farther from one of them.
+    """
+
+    points: Points
+    determinants: Float
+    gap_mm: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Made:
+    """A deformation, the tissues moved by it, and where it was looked at.
+
+    Parameters
+    ----------
+    deformed : Deformed
+    carried : Carried
+    sampled : Sampled
+    returns : int
+        Times that the march was taken back by what its surfaces came to need.
+    """
+
+    deformed: Deformed
+    carried: Carried
+    sampled: Sampled
+    returns: int
+
+
+def deform_finely(job: Job, *, progress: Progress) -> Made:
+    """March the job's handles, tested on the surfaces, and move the tissues, finely where the rig says so.
+
+    Surfaces that are to be refined are cut to the rig's longest edge before the march. An implicit march is also tested
+    between the vertices of what is not cut, so that no place of a surface is farther than a spacing from a tested one;
+    the paper's loop keeps to the vertices. What refinement adds is put to every step, and takes the march back to a
+    step that it forbids.
+
+    Parameters
+    ----------
+    job : Job
+    """
+    settings, surfaces = job.rig.deformer, job.rig.surfaces
+    whole = _moved_as_wholes(job)
+    cut = _cut(job, whole)
+    points = cut.anatomy.vertices()
+    between, gap = _between(cut.anatomy, longest_mm=surfaces.longest_edge_mm)
+    along = between if settings.step is StepKind.CAYLEY and settings.tested_at is TestedAt.ALL_POINTS else between[:0]
+    tested = np.vstack([points, along])
+    made, groups = march_of(job, tested, progress=progress)
+    if bone_limits(job):
+        riders: Riders = KeptRiders.of(job, riders_of(made, tested, progress=progress), tested, progress)
+    else:
+        riders = riders_of(made, tested, progress=progress)
+    if surfaces.refine:
+        tolerance = surfaces.chord_tolerance_mm
+        carried, riders = finely_carried(cut, riders, tolerance_mm=tolerance, whole=whole, progress=progress)
+    else:
+        moved, jacobians = riders.moved[: len(points)], riders.jacobians[: len(points)]
+        carried = Carried(cut.anatomy, cut.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
+    deformation = riders.deformation
+    if carried.unsolved and deformation.status is Status.CONVERGED:
+        deformation = replace(deformation, status=Status.UNSOLVED)
+    kept = riders.kept if isinstance(riders, KeptRiders) else ()
+    of_between = np.linalg.det(riders.jacobians[len(points) : len(tested)])
+    sampled = _looked_at(carried, deformation, between, gap, known=of_between if len(along) else None)
+    return Made(Deformed(deformation, groups, kept), carried, sampled, riders.returns)
+
+
+def move_finely(job: Job, deformation: Deformation, *, progress: Progress) -> Made:
+    """The tissues moved by a finished map, as finely as the rig says, with no bone held.
+
+    Parameters
+    ----------
+    job : Job
+    deformation : Deformation
+    """
+    surfaces = job.rig.surfaces
+    if surfaces.refine:
+        carried = carried_finely(
+            job.anatomy,
+            deformation,
+            tolerance_mm=surfaces.chord_tolerance_mm,
+            longest_mm=surfaces.longest_edge_mm,
+            whole=frozenset(),
+            progress=progress,
+        )
+    else:
+        moved, jacobians = deformation.with_jacobian(job.anatomy.vertices())
+        carried = Carried(job.anatomy, job.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
+    between, gap = _between(_cut(job, frozenset()).anatomy, longest_mm=surfaces.longest_edge_mm)
+    return Made(Deformed(deformation, ()), carried, _looked_at(carried, deformation, between, gap, known=None), 0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class KeptRiders:
+    """Points that a march carries, and after it the corrections that keep single bones.
+
+    Where a point that joins later takes the march back, or fails a correction, the corrections are made anew.
+
+    Parameters
+    ----------
+    free : Riders
+        Of the march.
+    keep : callable
+        Makes the corrections for a map, tested at points at rest.
+    rest : (N, 3) float64, mm
+        All that joined.
+    made : Deformed
+        The whole map, and the bones that it keeps.
+    moved, jacobians
+        Of the whole map, at all that joined.
+    redone : int
+        Times that only the corrections were made anew.
+    """
+
+    free: Riders
+    keep: Callable[[Deformation, Points], Deformed]
+    rest: Points
+    made: Deformed
+    moved: Points
+    jacobians: Gradients
+    redone: int = 0
+
+    @classmethod
+    def of(cls, job: Job, free: Riders, rest: Points, progress: Progress) -> KeptRiders:
+        """The corrections made for the first (N, 3) points, mm."""
+        return _kept(free, lambda map_, points: keep_bones(job, map_, points, progress=progress), rest, 0)
+
+    @property
+    def deformation(self) -> Deformation:
+        """The whole map."""
+        return self.made.deformation
+
+    @property
+    def kept(self) -> tuple[KeptBone, ...]:
+        """The bones that it keeps."""
+        return self.made.kept
+
+    @property
+    def returns(self) -> int:
+        """Times that the march was taken back or the corrections were made anew."""
+        return self.free.returns + self.redone
+
+    def joined(self, points: Points) -> KeptRiders | None:
+        """With more points; None where the rule fails at one of them and shorter steps do not help."""
+        free = self.free.joined(points)
+        if free is None:
+            return None
+        if free.returns == self.free.returns:
+            more = self._corrected(free.moved[len(self.moved) :], free.jacobians[len(self.moved) :])
+            if more is not None:
+                moved, jacobians = np.vstack([self.moved, more[0]]), np.concatenate([self.jacobians, more[1]])
+                rest = np.vstack([self.rest, points])
+                return replace(self, free=free, rest=rest, moved=moved, jacobians=jacobians)
+            if self.redone >= MAX_RETURNS:
+                return None
+        redone = self.redone + (free.returns == self.free.returns)
+        again = _kept(free, self.keep, np.vstack([self.rest, points]), redone)
+        return again if again.deformation.status is Status.CONVERGED else None
+
+    def _corrected(self, points: Points, jacobians: Gradients) -> tuple[Points, Gradients] | None:
+        """Points of the march put to the corrections; None where the rule fails at one."""
+        for step in self.deformation.steps[len(self.free.deformation.steps) :]:
+            try:
+                trial = step.trial(points)
+            except NotConvergedError:
+                return None
+            if not float(cayley_fractions(trial.gradients).min(initial=math.inf)) > 1.0:
+                return None
+            points, jacobians = trial.moved, step.jacobian_from(trial.gradients) @ jacobians
+        return points, jacobians
+
+
+def _kept(free: Riders, keep: Callable[[Deformation, Points], Deformed], rest: Points, redone: int) -> KeptRiders:
+    made = keep(free.deformation, rest)
+    steps = made.deformation.steps[len(free.deformation.steps) :]
+    corrections = Deformation(steps, (), made.deformation.status)
+    moved, jacobians = corrections.with_jacobian(free.moved)
+    return KeptRiders(free, keep, rest, made, moved, jacobians @ free.jacobians, redone)
+
+
+def _moved_as_wholes(job: Job) -> frozenset[str]:
+    """The bones that are moved by motions of their own, and need no finer triangles."""
+    if job.rig.bones.rigid:
+        assert job.motions is not None  # a rig with rigid bones is driven by joints
+        return frozenset(job.motions.at(1.0)) & {tissue.name for tissue in job.anatomy}
+    return frozenset(bone_limits(job))
+
+
+def _cut(job: Job, whole: frozenset[str]) -> CutAnatomy:
+    surfaces = job.rig.surfaces
+    if not surfaces.refine:
+        return CutAnatomy(job.anatomy, {})
+    return cut_at_rest(job.anatomy, longest_mm=surfaces.longest_edge_mm, whole=whole)
+
+
+def _between(anatomy: Anatomy, *, longest_mm: float) -> tuple[Points, float]:
+    """Samples of the surfaces that are none of their vertices, and the largest gap that they leave, mm."""
+    area = sum(float(np.linalg.norm(area_vectors(tissue.surface), axis=1).sum()) for tissue in anatomy)
+    count = max(FEWEST_SAMPLES, len(anatomy.vertices()))
+    spacing = max(longest_mm / EDGES_PER_SPACING, math.sqrt(area / count))
+    samples = [surface_samples(tissue.surface, spacing_mm=spacing) for tissue in anatomy]
+    return np.vstack([part.between for part in samples]), max(part.gap_mm for part in samples)
+
+
+def _looked_at(
+    carried: Carried, deformation: Deformation, between: Points, gap: float, *, known: Float | None
+) -> Sampled:
+    """The determinants at the vertices and between them; places without a value are told by ones that are no number."""
+    if known is None:
+        try:
+            known = np.linalg.det(deformation.jacobian(between)) if len(between) else np.zeros(0)
+        except NotConvergedError:
+            known = np.full(len(between), np.nan)
+    points = np.vstack([carried.rest.vertices(), between])
+    return Sampled(points, np.concatenate([carried.determinants, known]), gap)

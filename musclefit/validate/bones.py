@@ -249,7 +249,7 @@ def _substeps(bones: RigidBones, before: Motions, after: Motions, pair: Pair) ->
     if (low > high).any():
         return 1
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3)
-    travel = np.linalg.norm((end @ start.inverse())(corners) - corners, axis=1).max()
+    travel = float(np.linalg.norm((end @ start.inverse())(corners) - corners, axis=1).max())
     return max(1, math.ceil(travel / TRAVEL_MM))
 
 

@@ -54,7 +54,10 @@ TRAVEL_MM = 4.0
 """And oftener, where the parts of two bones that may meet go farther than this past each other."""
 
 RESOLUTION_DEG = 0.1
-"""How finely the last feasible pose is found."""
+"""How finely the last feasible pose is found, by joint angle."""
+
+RESOLUTION = 1e-3
+"""And as a fraction of the way."""
 
 SAMPLES = 2000
 """Places of a shared volume at which its depth is measured, about."""
@@ -212,7 +215,7 @@ def _narrowed(
 ) -> BoneCollision:
     """The collision between a free and a colliding fraction of the way, found by bisection."""
     at, found = hit
-    while (at - free) * turn_deg > RESOLUTION_DEG:
+    while (at - free) * turn_deg > RESOLUTION_DEG or at - free > RESOLUTION:
         middle = 0.5 * (free + at)
         worst = shared_by_bones(bones, motions_at(middle))
         if worst and worst[0].collides:

@@ -114,3 +114,39 @@ def test_ranges_are_those_of_the_posed_joints_or_of_all(rig: Path) -> None:
     assert ranges_of(posed(rig, 0), posed_only=True) == ()
     landmarks = write_tiny_rig(rig.parent / "pairs")
     assert ranges_of(musclefit.read_rig(landmarks)) == ()
+
+
+# --- real bones
+
+
+@pytest.fixture
+def real(anatomy_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("MUSCLEFIT_DATA", str(anatomy_data))
+    return anatomy_data
+
+
+@pytest.mark.parametrize("name", ["left_arm", "finger"])
+def test_poses_that_are_stated_free_are_not_refused(real: Path, name: str) -> None:
+    job = musclefit.read_rig(real / "untuned" / f"{name}.toml")
+    bones = bones_of(job)
+    assert collision_on_the_way(job, bones) is None
+    assert [overlap for overlap in shared_in_the_pose(job, bones) if overlap.collides] == []
+
+
+@pytest.mark.parametrize(
+    ("rig", "override", "feasible"),
+    [
+        ("forearm_rigid", "drive.pose.elbow_deg=130", {"elbow": 81.0, "forearm": 43.6}),
+        ("leg_jump", "drive.pose={ ankle_deg = -35 }", {"ankle": -19.9}),
+    ],
+)
+def test_deep_poses_are_refused_with_a_feasible_one(
+    real: Path, rig: str, override: str, feasible: dict[str, float]
+) -> None:
+    job = musclefit.read_rig(musclefit.find_rig(rig), overrides=[override])
+    found = collision_on_the_way(job, bones_of(job))
+    assert found is not None
+    named = dict(re.findall(r"(\w+) (\S+) deg", pose_in_words(job, found.feasible, toward_rest=True)))
+    assert {name: float(degrees) for name, degrees in named.items()} == pytest.approx(feasible, abs=0.5)
+    assert found.there is not None
+    assert found.there.depth_mm > 2.0

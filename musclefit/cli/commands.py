@@ -19,6 +19,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
 from musclefit.cli.fit_joint import fit_joint
+from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.progress import TimedStages
@@ -190,6 +191,7 @@ app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(export, sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
+app.command(joint_range, name="joint-range", sort_key=7)
 app.command(repair, sort_key=3)
 app.command(cage, sort_key=6)
 

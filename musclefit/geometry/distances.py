@@ -29,6 +29,27 @@ class NearestPlaces:
     faces: Int
 
 
+class DistanceTree:
+    """Distances from one surface, for many questions: its tree is built once.
+
+    Parameters
+    ----------
+    surface : TriMesh
+    """
+
+    def __init__(self, surface: TriMesh) -> None:
+        self._vertices = np.array(surface.vertices, dtype=np.float64)
+        self._faces = np.array(surface.faces, dtype=np.int64)
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
+
+    def __call__(self, points: Points) -> Float:
+        """(N,) distances of (N, 3) points from the surface, mm; not signed."""
+        squared, _, _ = self._tree.squared_distance(self._vertices, self._faces, np.ascontiguousarray(points))
+        distances: Float = np.sqrt(np.asarray(squared, dtype=np.float64)).reshape(-1)
+        return distances
+
+
 def nearest_places(points: Points, surface: TriMesh) -> NearestPlaces:
     """Nearest place on the surface for each of (N, 3) points, mm."""
     squared, faces, places = igl.point_mesh_squared_distance(

@@ -16,8 +16,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from musclefit.errors import MeshError
-from musclefit.geometry.arrays import Float, Int, frozen
+from musclefit.geometry.arrays import Float, Int, Points, frozen
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.volumes import enclosed_volume
 from musclefit.geometry.winding import winding_numbers
 
@@ -140,6 +141,56 @@ def outside_mesh(a: Solid, skin: Solid) -> TriMesh:
     return _tri_mesh(a.manifold - skin.manifold)
 
 
+def moved_solid(solid: Solid, motion: RigidMotion) -> Solid:
+    """The solid after a rigid motion, without preparing it anew."""
+    moved = solid.manifold.transform(np.hstack([motion.rotation, motion.translation[:, None]]))
+    return Solid(manifold=moved, box=_box(moved), volume=solid.volume)
+
+
+def shared_solid(a: Solid, b: Solid) -> Solid | None:
+    """What two solids share, or None where that is nothing beyond rounding; raises as `overlap_volume`."""
+    if _boxes_apart(a.box, b.box):
+        return None
+    return _part(a.manifold ^ b.manifold, at_most=min(a.volume, b.volume), what="overlap")
+
+
+def solid_outside(a: Solid, b: Solid) -> Solid | None:
+    """The part of ``a`` outside ``b``, or None where that is nothing beyond rounding; raises as `volume_outside`."""
+    if _boxes_apart(a.box, b.box):
+        return a
+    return _part(a.manifold - b.manifold, at_most=a.volume, what="volume outside")
+
+
+def surface_of(solid: Solid) -> TriMesh:
+    """The solid's surface."""
+    return _tri_mesh(solid.manifold)
+
+
+def samples_of(solid: Solid, *, spacing_mm: float, most: int) -> Points:
+    """Places of a solid: its surface at a spacing, and a lattice of places inside.
+
+    Parameters
+    ----------
+    solid : Solid
+    spacing_mm : float
+        Edges of the surface longer than this are split.
+    most : int
+        The spacing is widened until the surface takes about this many places; the lattice takes a quarter of it.
+
+    Returns
+    -------
+    (n, 3) float64, mm
+    """
+    spacing = max(spacing_mm, float(np.sqrt(2.0 * solid.manifold.surface_area() / most)))
+    on_surface = _tri_mesh(solid.manifold.refine_to_length(spacing)).vertices
+    size = solid.box[1] - solid.box[0]
+    step = max(spacing, float(np.cbrt(4.0 * np.prod(size) / most)))
+    axes = [low + step * (np.arange(int(edge / step)) + 0.5) for low, edge in zip(solid.box[0], size, strict=True)]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = winding_numbers(_tri_mesh(solid.manifold), lattice) > 0.5
+    return np.concatenate([on_surface, lattice[inside]])
+
+
 def refined_to(mesh: TriMesh, *, edge_length_mm: float) -> TriMesh:
     """The same closed surface with edges split into pieces of about ``edge_length_mm``; no vertex leaves its triangle.
 
@@ -225,6 +276,16 @@ def _refuse_misplaced_pieces(mesh: TriMesh) -> None:
 
 def _touching(boxes: Sequence[Float], number: int) -> Iterator[int]:
     return (i for i, box in enumerate(boxes) if i != number and not _boxes_apart(box, boxes[number]))
+
+
+def _part(manifold: Any, *, at_most: float, what: str) -> Solid | None:
+    volume = _believable(float(manifold.volume()), at_most=at_most, what=what)
+    return None if volume <= ROUNDING_MM3 else Solid(manifold=manifold, box=_box(manifold), volume=volume)
+
+
+def _box(manifold: Any) -> Float:
+    corners: Float = np.array(manifold.bounding_box(), dtype=np.float64).reshape(2, 3)
+    return corners
 
 
 def _boxes_apart(a: Float, b: Float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +13,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.maps import certify_map
-from musclefit.errors import InputError
+from musclefit.errors import MeshError
 from musclefit.flow.bones import contact_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, kept_residuals
@@ -32,21 +32,19 @@ from musclefit.pipeline.deformers import (
     method_in_words,
     rule_in_words,
 )
+from musclefit.pipeline.poses import bones_of, ranges_of, refuse_collision, shared_in_the_pose
 from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finely
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import BoneLimit, JointDrive, MeshSettings, PathKind, StepKind
-from musclefit.validate.bones import first_collision
+from musclefit.rig.model import BoneLimit, MeshSettings, StepKind
+from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
-from musclefit.validate.model import BoneFieldCheck, MapCheck, MapClaim, MeshCheck, MeshRefinement
+from musclefit.validate.model import BoneFieldCheck, BoneOverlap, MapCheck, MapClaim, MeshCheck, MeshRefinement
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets, rest_findings
 from musclefit.validate.tissues import Motion, check_tissues
-
-COLLISION_POSES = 12
-"""Poses on the way at which bones are tested for running into each other."""
 
 STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
     {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
@@ -93,6 +91,8 @@ class Retargeting:
         The job's method, and the same handles in one shot.
     findings : tuple of Finding
         Of the input.
+    joint_ranges : tuple of JointRange
+        Of the joints that the pose turns.
     """
 
     job: Job
@@ -100,6 +100,7 @@ class Retargeting:
     result: Outcome
     baseline: Outcome
     findings: tuple[Finding, ...]
+    joint_ranges: tuple[JointRange, ...] = ()
 
     @property
     def report(self) -> Report:
@@ -114,6 +115,7 @@ class Retargeting:
             peak_memory_mb=float("nan"),
             provenance={"input_sha256": dict(self.job.hashes), "settings": settings_of(self.job)},
             tets=None if self.tets is None else tet_summary(self.tets),
+            joint_ranges=self.joint_ranges,
         )
 
 
@@ -157,12 +159,12 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     """
     progress = progress or Silent()
     bone_limits(job)  # refuses names that fit no bone before the long work
-    if job.rig.bones.rigid:
-        _refuse_colliding_bones(job, progress)
+    shared = _tested_bones(job, progress)
+    ranges, unknown = _joint_ranges(job, progress)
     solids = solid_anatomy(job.anatomy, progress=progress)
     made = deform_finely(job, progress=progress)
     baseline = move_finely(job, deform_in_one_shot(job, job.anatomy.vertices()), progress=progress)
-    finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress)
+    finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress, shared)
     as_given = replace(finish, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
     of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
     kept = _kept_findings(made.deformed)
@@ -171,11 +173,12 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
         tets=tets,
         result=finish(made, method=method_in_words(job), stage="check result"),
         baseline=as_given(baseline, method=baseline_in_words(job), stage="check baseline"),
-        findings=(*job.findings, *kept, *of_tets),
+        findings=(*job.findings, *unknown, *kept, *of_tets),
+        joint_ranges=ranges,
     )
 
 
-def outcome_of(job: Job, *, rest: SolidAnatomy, progress: Progress) -> Outcome:
+def outcome_of(job: Job, *, rest: SolidAnatomy, shared: Sequence[BoneOverlap] = (), progress: Progress) -> Outcome:
     """The job's method alone, checked as `retarget` does, without baseline and tetrahedra.
 
     Parameters
@@ -183,8 +186,10 @@ def outcome_of(job: Job, *, rest: SolidAnatomy, progress: Progress) -> Outcome:
     job : Job
     rest : SolidAnatomy
         The job's anatomy, prepared once for many poses.
+    shared : sequence of BoneOverlap
+        What bones share in the pose by their motions alone.
     """
-    finish = _Finisher(job, rest, None, job.rig.mesh, progress, progress)
+    finish = _Finisher(job, rest, None, job.rig.mesh, progress, progress, tuple(shared))
     return finish(deform_finely(job, progress=progress), method=method_in_words(job), stage="check result")
 
 
@@ -199,6 +204,8 @@ class _Finisher:
     progress: Progress
     proving: Progress
     """Told of the proof: the seconds of the job's own are compared with those of its march."""
+    shared: tuple[BoneOverlap, ...]
+    """What bones share in the pose by their motions alone: no part of what a deformation that holds them introduces."""
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
         job, deformed, deformation = self.job, made.deformed, made.deformed.deformation
@@ -213,7 +220,13 @@ class _Finisher:
             after = solid_anatomy(moved.deformed, progress=self.progress)
             outside = check_outside_skin(self.rest, after, mapped=deformation.with_jacobian, progress=self.progress)
             tick(0.6)
-            overlaps = check_overlaps(self.rest, after, mapped=deformation.with_jacobian, progress=self.progress)
+            overlaps = check_overlaps(
+                self.rest,
+                after,
+                mapped=deformation.with_jacobian,
+                by_motions=self._shared_by_held_bones(deformed),
+                progress=self.progress,
+            )
             tick(0.9)
             side = Side(
                 method=method,
@@ -241,6 +254,10 @@ class _Finisher:
             None if tets is None else tets.vertices,
             side,
         )
+
+    def _shared_by_held_bones(self, deformed: Deformed) -> tuple[BoneOverlap, ...]:
+        held = {name for group in deformed.groups for name in group.bones}
+        return tuple(overlap for overlap in self.shared if {overlap.a, overlap.b} <= held)
 
     def _moved(self, made: Made) -> Carried:
         """The tissues moved by the map; bones that are held, by their rigid motions."""
@@ -363,24 +380,25 @@ def _mesh(tets: CarriedTets) -> MeshCheck:
     return replace(check, refinement=refinement)
 
 
-def _refuse_colliding_bones(job: Job, progress: Progress) -> None:
-    """Raise before the soft tissue is touched when bones run into each other on the way to the pose."""
-    assert job.motions is not None  # a rig with rigid bones is driven by joints
+def _tested_bones(job: Job, progress: Progress) -> tuple[BoneOverlap, ...]:
+    """What rigid bones share in the pose; raises before the soft tissue is touched when they collide on the way."""
+    if not job.rig.bones.rigid:
+        return ()
     with progress.stage("test the bones' way"):
-        fractions = [k / COLLISION_POSES for k in range(1, COLLISION_POSES + 1)]
-        found = first_collision(job.anatomy, [(at, job.motions.at(at)) for at in fractions])
-    if found is None:
-        return
-    assert isinstance(job.rig.drive, JointDrive)
-    if job.rig.deformer.path is PathKind.JOINTS and not job.stops:
-        pose = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in job.rig.drive.pose)
-    else:
-        pose = f"{100.0 * found.at:.3g} % of the way"
-    raise InputError(
-        f"bones {found.a!r} and {found.b!r} run into each other at {pose}: they share {found.volume_mm3:.3g} mm³, "
-        f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the joints, or let the bones "
-        "deform (bones.rigid = false)"
-    )
+        bones = bones_of(job)
+        refuse_collision(job, bones)
+        return shared_in_the_pose(job, bones)
+
+
+def _joint_ranges(job: Job, progress: Progress) -> tuple[tuple[JointRange, ...], tuple[Finding, ...]]:
+    """How far the posed joints can turn, or the finding that says why that is not known."""
+    if job.joints is None:
+        return (), ()
+    with progress.stage("joint ranges"):
+        try:
+            return ranges_of(job, posed_only=True), ()
+        except MeshError as error:
+            return (), (Finding("joints", "joint-range-unknown", f"the joints' free ranges are not known: {error}"),)
 
 
 def _held_bones(job: Job, deformed: Deformed) -> tuple[HeldBones, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, MusclefitError
 from musclefit.geometry.sections import Sections
+from musclefit.pipeline.poses import bones_of, collision_in_words, collision_on_the_way, shared_in_the_pose
 from musclefit.pipeline.retarget import outcome_of
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Side
@@ -19,12 +19,9 @@ from musclefit.rig.joints import JointSystem
 from musclefit.rig.model import JointDrive
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import motions_of
-from musclefit.validate.bones import BoneCollision, first_collision
+from musclefit.validate.bones import BoneCollision, RigidBones
 from musclefit.validate.muscles import MuscleMeasures, measure_muscles, muscle_sections
 from musclefit.validate.overlaps import SolidAnatomy, solid_anatomy
-
-COLLISION_DEG = 7.5
-"""Bones are tested for running into each other whenever a joint has turned this far on the way from rest to a pose."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,12 +61,14 @@ class Stage:
     joints : JointSystem
     rest : SolidAnatomy
     sections : mapping of muscle name to Sections
+    bones : RigidBones
     """
 
     job: Job
     joints: JointSystem
     rest: SolidAnatomy
     sections: Mapping[str, Sections]
+    bones: RigidBones
 
     @classmethod
     def of(cls, job: Job, *, progress: Progress | None = None) -> Stage:
@@ -79,11 +78,14 @@ class Stage:
         ------
         InputError
             No joint drives it.
+        MeshError
+            A bone that is no solid, so that it cannot be tested for running into others.
         """
         if job.joints is None:
             raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
         progress = progress or Silent()
-        return cls(job, job.joints, solid_anatomy(job.anatomy, progress=progress), muscle_sections(job.anatomy))
+        rest = solid_anatomy(job.anatomy, progress=progress)
+        return cls(job, job.joints, rest, muscle_sections(job.anatomy), bones_of(job))
 
     def frame(self, pose: Pose, *, progress: Progress | None = None) -> Frame:
         """The anatomy in a pose, made from rest along the joints alone.
@@ -92,11 +94,13 @@ class Stage:
         why; so the other frames of a motion go on.
         """
         posed = posed_job(self.job, pose)
-        collision = collision_on_the_way(posed, pose)
-        if collision is not None:
-            return Frame(pose, None, None, (), collision, collision_in_words(collision, pose))
         try:
-            outcome = outcome_of(posed, rest=self.rest, progress=progress or Silent())
+            collision = collision_on_the_way(posed, self.bones)
+            if collision is not None:
+                refused = f"frame {pose.number} at {pose.said} is refused: {collision_in_words(posed, collision)}"
+                return Frame(pose, None, None, (), collision, refused)
+            shared = shared_in_the_pose(posed, self.bones) if posed.rig.bones.rigid else ()
+            outcome = outcome_of(posed, rest=self.rest, shared=shared, progress=progress or Silent())
         except MusclefitError as error:
             return Frame(pose, None, None, (), None, str(error))
         muscles = measure_muscles(solid_anatomy(outcome.deformed, progress=Silent()), sections=self.sections)
@@ -137,25 +141,6 @@ def posed_job(job: Job, pose: Pose) -> Job:
         motions=motions,
         path=path_by_joints(job.handles, motions, kind=job.rig.deformer.path),
         stops=(),
-    )
-
-
-def collision_on_the_way(job: Job, pose: Pose) -> BoneCollision | None:
-    """Bones that run into each other in the pose, else the first that do on the way there, every ``COLLISION_DEG``."""
-    assert job.motions is not None  # a posed job is driven by joints
-    count = max(1, math.ceil(max(abs(angle) for _, angle in pose.degrees) / COLLISION_DEG))
-    there = first_collision(job.anatomy, [(1.0, job.motions.at(1.0))])
-    if there is not None or count == 1:
-        return there
-    return first_collision(job.anatomy, [(k / count, job.motions.at(k / count)) for k in range(1, count)])
-
-
-def collision_in_words(found: BoneCollision, pose: Pose) -> str:
-    """Bones, time, place on the way and depth."""
-    where = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in pose.degrees)
-    return (
-        f"frame {pose.number} at {pose.said} is refused: bones {found.a!r} and {found.b!r} run into each other at "
-        f"{where}: they share {found.volume_mm3:.3g} mm³, {found.depth_mm:.2g} mm deep"
     )
 
 

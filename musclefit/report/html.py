@@ -18,6 +18,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, checks_against
+from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
 from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -170,6 +171,8 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         "pictures_problem": pictures_problem,
         "tissues": _tissue_rows(report),
         "pairs": _pair_rows(report),
+        "range_step_deg": STEP_DEG,
+        "range_resolution_deg": RESOLUTION_DEG,
         "mesh_theorem": MESH_THEOREM,
         "mesh_surfaces": MESH_SURFACES,
         "tet_rows": _tet_rows(report),

@@ -23,6 +23,9 @@ def report_schema() -> Schema:
             "description": "The tetrahedra at rest; null where none were made.",
             "oneOf": [_tets(), {"type": "null"}],
         },
+        "joint_ranges": _list(
+            joint_range_schema(), "How far the joints that the pose turns can turn; no part of the verdict."
+        ),
         "findings": _list(_finding(), "What was found in the input; no part of the verdict."),
         "baseline": {
             "description": "The same keys for the method compared with, held against the same limits; null where none "
@@ -99,10 +102,61 @@ def _side_properties() -> Schema:
         "tissues": _list(_tissue(), "All tissues, outermost first."),
         "overlaps": _list(_overlap(), "Overlapping pairs, largest first."),
         "overlap_total": _record(_overlap_volumes(), "Overlap volumes summed over all pairs."),
+        "bone_overlaps": _list(
+            _bone_overlap(),
+            "What held bones share by their rigid motions alone, known before the deformation: below the limits of a "
+            "collision, and no part of what it introduces.",
+        ),
         "pairs_tested": _count("Pairs of tissues tested for overlap."),
         "not_checked": _not_checked(),
         "checks": _checks(),
     }
+
+
+def joint_range_schema() -> Schema:
+    """JSON Schema of one coordinate's free range, all others at rest."""
+    end = {
+        "degrees": _number("How far it can turn to this side, degrees; short of the true end by the resolution."),
+        "ended_by": {
+            "enum": ["bones", "limit", "not met"],
+            "description": "Bones that run into each other, the limit stated for it, or nothing as far as 180 degrees.",
+        },
+        "beyond": {
+            "description": "The bones that end it, one step beyond; null where none do.",
+            "oneOf": [_bone_overlap(), {"type": "null"}],
+        },
+    }
+    limits = {
+        "type": "array",
+        "items": {"type": ["number", "null"]},
+        "minItems": 2,
+        "maxItems": 2,
+        "description": "The limits stated for it, degrees; null where there is none.",
+    }
+    properties = {
+        "joint": _text("Name of the coordinate, as a pose names it."),
+        "low": _record(end, "Where its range ends below rest."),
+        "high": _record(end, "Where its range ends above rest."),
+        "limits_deg": limits,
+        "step_deg": _number("Bones were tested at least this often, degrees."),
+        "resolution_deg": _number("How finely an end was found, degrees."),
+        "untested": _list(_text("Name of a bone."), "Bones that were left out because they are no solids."),
+    }
+    return _record(properties, "One coordinate.")
+
+
+def _bone_overlap() -> Schema:
+    properties = {
+        "a": _text("One bone."),
+        "b": _text("The other."),
+        "rest_mm3": _number("Volume of their intersection at rest, mm³."),
+        "posed_mm3": _number("Volume of their intersection where their motions put them, mm³."),
+        "beyond_mm3": _number("Of it, what is beyond the intersection at rest carried along, mm³."),
+        "beyond_limit_mm3": _number("How much of that is no collision yet, by the size of the smaller bone, mm³."),
+        "depth_mm": _number("How deep its places lie below the surface of either bone, at most, mm."),
+        "depth_limit_mm": _number("How deep is no collision yet, by the size of the smaller bone, mm."),
+    }
+    return _record(properties, "Two bones.")
 
 
 def _certificate_cost() -> Schema:

@@ -12,6 +12,7 @@ from musclefit.anatomy.fits import TissueFit
 from musclefit.anatomy.model import TissueKind
 from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.rig.model import Limits
+from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.model import (
     BoneFieldCheck,
     Check,
@@ -141,6 +142,8 @@ class Report:
         Versions, hashes of the input, settings: text, numbers, booleans, None, and lists and mappings of these.
     tets : TetSummary or None
         None where no tetrahedra were made.
+    joint_ranges : tuple of JointRange
+        How far the joints that the pose turns can turn, each by itself; shown, but no part of the verdict.
     """
 
     title: str
@@ -152,6 +155,7 @@ class Report:
     peak_memory_mb: float
     provenance: Mapping[str, Any]
     tets: TetSummary | None = None
+    joint_ranges: tuple[JointRange, ...] = ()
 
     @property
     def checks(self) -> tuple[Check, ...]:

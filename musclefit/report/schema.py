@@ -22,10 +22,13 @@ from musclefit.report.model import (
     verdict_of,
 )
 from musclefit.rig.model import Limits
+from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
+from musclefit.validate.joint_ranges import JointRange, RangeEnd
 from musclefit.validate.model import (
     MESH_SURFACES,
     MESH_THEOREM,
     BoneFieldCheck,
+    BoneOverlap,
     Check,
     MapCheck,
     MeshCheck,
@@ -59,6 +62,7 @@ def to_json(report: Report | MeshReport) -> Json:
         "title": report.title,
         **_side(report.result, report.limits),
         "tets": None if report.tets is None else _tets(report.tets),
+        "joint_ranges": joint_ranges_to_json(report.joint_ranges),
         "findings": [_finding(f) for f in report.findings],
         "baseline": None if report.baseline is None else _side(report.baseline, report.limits),
         "timings_s": {name: _number(seconds) for name, seconds in report.timings_s.items()},
@@ -80,6 +84,43 @@ def _certificate_cost(seconds: Mapping[str, float]) -> Json | None:
 def side_to_json(side: Side, limits: Limits) -> Json:
     """One method's outcome as JSON values: the keys of ``report_schema`` that tell of the result."""
     return _side(side, limits)
+
+
+def joint_ranges_to_json(ranges: Sequence[JointRange]) -> list[Json]:
+    """How far joints can turn, as JSON values: the items of ``joint_ranges`` in ``report_schema``."""
+    return [
+        {
+            "joint": found.coordinate,
+            "low": _range_end(found.low),
+            "high": _range_end(found.high),
+            "limits_deg": [_number(limit) for limit in found.limits_deg],
+            "step_deg": STEP_DEG,
+            "resolution_deg": RESOLUTION_DEG,
+            "untested": list(found.untested),
+        }
+        for found in ranges
+    ]
+
+
+def _range_end(end: RangeEnd) -> Json:
+    return {
+        "degrees": _number(end.degrees),
+        "ended_by": end.ended_by,
+        "beyond": None if end.beyond is None else _bone_overlap(end.beyond),
+    }
+
+
+def _bone_overlap(found: BoneOverlap) -> Json:
+    return {
+        "a": found.a,
+        "b": found.b,
+        "rest_mm3": _number(found.rest_mm3),
+        "posed_mm3": _number(found.posed_mm3),
+        "beyond_mm3": _number(found.beyond_mm3),
+        "beyond_limit_mm3": _number(found.beyond_limit_mm3),
+        "depth_mm": _number(found.depth_mm),
+        "depth_limit_mm": _number(found.depth_limit_mm),
+    }
 
 
 def _inspection(report: MeshReport) -> Json:
@@ -129,6 +170,7 @@ def _side(side: Side, limits: Limits) -> Json:
             "deformed_mm3": _number(total.deformed_mm3),
             "introduced_mm3": _number(total.introduced_mm3),
         },
+        "bone_overlaps": [_bone_overlap(overlap) for overlap in side.overlaps.bones],
         "pairs_tested": int(side.overlaps.pairs_tested),
         "not_checked": [_not_checked(n) for n in side.overlaps.not_checked],
         "checks": [_check(c) for c in checks],

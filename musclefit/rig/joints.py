@@ -256,7 +256,11 @@ class JointMotions:
 
     def at(self, t: float) -> Mapping[str, RigidMotion]:
         """Rest-to-``t`` motion of each bone by name: the pose with every angle multiplied by ``t``."""
-        return self.joints.motions({name: t * degrees for name, degrees in self.pose})
+        return self.joints.motions(self.pose_at(t))
+
+    def pose_at(self, t: float) -> Mapping[str, float]:
+        """The angle of each coordinate at ``t``, degrees."""
+        return {name: t * degrees for name, degrees in self.pose}
 
 
 def parse_joints(table: Mapping[str, Any], *, source: str) -> JointSystem:

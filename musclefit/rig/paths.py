@@ -164,6 +164,14 @@ class KeyframeMotions:
 
     def at(self, t: float) -> Mapping[str, RigidMotion]:
         """Rest-to-``t`` motion of each bone by name."""
+        return self.joints.motions(self.pose_at(t))
+
+    def pose_at(self, t: float) -> Mapping[str, float]:
+        """The angle of each coordinate at ``t``, degrees."""
+        return {name: float(np.interp(t, *line)) for name, line in self._lines().items()}
+
+    def _lines(self) -> dict[str, tuple[Points, Points]]:
+        """Moments and degrees of each coordinate's knots."""
         knots: dict[str, list[tuple[float, float]]] = {}
         for moment, pose in self.poses:
             for name, degrees in pose:
@@ -171,8 +179,7 @@ class KeyframeMotions:
         for line in knots.values():
             if line[-1][0] < 1.0:
                 line.append((1.0, 0.0))  # the destination leaves the joint out: it comes back to rest
-        lines = {name: np.array(line).T for name, line in knots.items()}
-        return self.joints.motions({name: float(np.interp(t, line[0], line[1])) for name, line in lines.items()})
+        return {name: (np.array([m for m, _ in line]), np.array([d for _, d in line])) for name, line in knots.items()}
 
 
 def motions_of(drive: JointDrive, joints: JointSystem, *, kind: PathKind) -> BoneMotions:

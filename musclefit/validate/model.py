@@ -192,12 +192,45 @@ class NotChecked:
 
 
 @dataclass(frozen=True, slots=True)
+class BoneOverlap:
+    """What two bones share where their rigid motions put them, whatever becomes of the soft tissue.
+
+    ``beyond_mm3`` is what they share beyond the overlap at rest carried along with them; ``depth_mm`` is how deep its
+    places lie below the surface of either bone, at most. Both have a limit that goes by the smaller of the two bones.
+    """
+
+    a: str
+    b: str
+    rest_mm3: float
+    posed_mm3: float
+    beyond_mm3: float
+    depth_mm: float
+    beyond_limit_mm3: float
+    depth_limit_mm: float
+
+    @property
+    def share_of_limit(self) -> float:
+        """How much of its nearer limit it uses: above 1 the bones collide."""
+        return max(self.depth_mm / self.depth_limit_mm, self.beyond_mm3 / self.beyond_limit_mm3)
+
+    @property
+    def collides(self) -> bool:
+        """Whether it is beyond a limit."""
+        return self.share_of_limit > 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class OverlapCheck:
-    """All overlapping pairs, largest first, and what could not be checked."""
+    """All overlapping pairs, largest first, and what could not be checked.
+
+    ``bones`` is what bones share by their rigid motions alone: known before the deformation, no part of what it
+    introduces.
+    """
 
     pairs: tuple[PairOverlap, ...]
     pairs_tested: int
     not_checked: tuple[NotChecked, ...]
+    bones: tuple[BoneOverlap, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from musclefit.geometry.solids import (
 )
 from musclefit.progress import Progress
 from musclefit.validate.carried import Mapped, carried_volumes
-from musclefit.validate.model import NotChecked, OutsideCheck, OutsideSkin, OverlapCheck, PairOverlap
+from musclefit.validate.model import BoneOverlap, NotChecked, OutsideCheck, OutsideSkin, OverlapCheck, PairOverlap
 
 WHOLE_RELATIVE = 1e-9
 """A part is the whole of a tissue when its volume falls short by at most this fraction."""
@@ -97,7 +97,12 @@ def rest_overlaps(anatomy: Anatomy | SolidAnatomy, *, progress: Progress) -> Ove
 
 
 def check_overlaps(
-    rest: Anatomy | SolidAnatomy, deformed: Anatomy | SolidAnatomy, *, mapped: Mapped, progress: Progress
+    rest: Anatomy | SolidAnatomy,
+    deformed: Anatomy | SolidAnatomy,
+    *,
+    mapped: Mapped,
+    by_motions: Sequence[BoneOverlap] = (),
+    progress: Progress,
 ) -> OverlapCheck:
     """Every pair of tissues, the skin left out, that overlaps at rest or deformed.
 
@@ -108,6 +113,8 @@ def check_overlaps(
     mapped : callable
         The map of space that made ``deformed`` from ``rest``, (N, 3) mm -> (N, 3) mm and its (N, 3, 3) Jacobians;
         carries the rest overlap along.
+    by_motions : sequence of BoneOverlap
+        What bones that are moved rigidly share by their motions alone; only what is beyond it counts as introduced.
 
     Returns
     -------
@@ -129,8 +136,9 @@ def check_overlaps(
     solid = [name for name in names if name in before.solids and name in after.solids]
     near = sorted({*_near_pairs(before, solid), *_near_pairs(after, solid)})
     known, failed = _introduced(before, after, near, measure=_OVERLAP, mapped=mapped, progress=progress)
+    given = {frozenset((overlap.a, overlap.b)): overlap.posed_mm3 for overlap in by_motions}
     pairs = [
-        PairOverlap(a, b, v.rest, v.deformed, v.introduced)
+        PairOverlap(a, b, v.rest, v.deformed, _beyond_given(v, given.get(frozenset((a, b)))))
         for (a, b), v in known.items()
         if max(v.rest, v.deformed) > ROUNDING_MM3
     ]
@@ -142,6 +150,7 @@ def check_overlaps(
             *_newly_crossing(before, after, solid, progress=progress),
             *failed,
         ),
+        bones=tuple(by_motions),
     )
 
 
@@ -242,6 +251,15 @@ def _introduced(
         if not c.settled
     )
     return known, (*failed_rest, *failed_end, *unsettled)
+
+
+def _beyond_given(found: _Volumes, given: float | None) -> float:
+    """What is introduced beyond a volume that was given with the motions, which is measured alike but for rounding."""
+    if given is None:
+        return found.introduced
+    beyond = found.deformed - given
+    rounding = max(ROUNDING_MM3, WHOLE_RELATIVE * given)
+    return 0.0 if beyond <= rounding else min(found.introduced, beyond)
 
 
 def _parts_at_rest(

@@ -18,6 +18,9 @@ from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.volumes import area_vectors, enclosed_volume
+from musclefit.rig.joints import parse_joints
+from musclefit.validate.bones import rigid_bones, shared_by_bones
+from musclefit.validate.joint_ranges import joint_ranges
 
 JOINTS_FILE = Path(__file__).parents[2] / "rigs" / "upper_limb_joints.json"
 ELBOW_DEG = range(0, 141, 20)
@@ -161,6 +164,23 @@ def test_joints_file_is_the_construction() -> None:
         read_centre, read_axis = _joint(name)
         np.testing.assert_allclose(read_centre, centre, rtol=0, atol=1e-12)
         np.testing.assert_allclose(read_axis, axis, rtol=0, atol=1e-12)
+    limits = {name: tuple(json.loads(JOINTS_FILE.read_text())[name]["limits_deg"]) for name in ("elbow", "forearm")}
+    assert limits == {"elbow": joints.ELBOW_LIMITS_DEG, "forearm": joints.FOREARM_LIMITS_DEG}
+
+
+def test_no_pose_within_the_limits_is_a_collision(limb: Anatomy) -> None:
+    """Together; each alone, bones stop it beyond its limits and not before."""
+    system = parse_joints(json.loads(JOINTS_FILE.read_text()), source=JOINTS_FILE.name)
+    bones = rigid_bones(limb, system.bones())
+    low, high = joints.ELBOW_LIMITS_DEG
+    for elbow, forearm in itertools.product((low, 0, 60, 120, 140, 145, high), range(-90, 91, 20)):
+        found = shared_by_bones(bones, system.motions({"elbow": elbow, "forearm": forearm}))
+        assert not [f for f in found if f.collides], f"elbow {elbow}, forearm {forearm}"
+    for name, limits in (("elbow", joints.ELBOW_LIMITS_DEG), ("forearm", joints.FOREARM_LIMITS_DEG)):
+        table = json.loads(JOINTS_FILE.read_text())
+        del table[name]["limits_deg"]
+        free = joint_ranges(bones, parse_joints(table, source="no limits"), only=(name,))[0]
+        assert free.low.degrees < limits[0] < limits[1] < free.high.degrees
 
 
 def test_positive_turns_flex_and_pronate(limb: Anatomy) -> None:

@@ -1,15 +1,19 @@
-"""The sequence and fit-joint commands: exit codes, what is written, messages for bad input."""
+"""The sequence, fit-joint and joint-range commands: exit codes, what is written, messages for bad input."""
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
+import jsonschema
 import pytest
 import trimesh
 from tiny_rigs import drive_by_joints, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.figures.rendering import rendering_problem
+from musclefit.report.json_schema import joint_range_schema
 
 JOINTS_PATH = ("--set", "deformer.path=joints")
 
@@ -70,3 +74,34 @@ def test_a_joint_is_fitted_and_printed_as_a_table(tmp_path: Path, capsys: pytest
     assert "centre_mm = [" in said
     assert "mm rms" in said
     assert "the axes of the two bones differ by 0.0 deg and 0.0" in said
+
+
+def test_joint_ranges_are_printed_or_given_as_json(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    joints = rig.with_name("joints.toml")
+    joints.write_text(joints.read_text(encoding="utf-8").replace("[-5, 60]", "[-5, 175]"), encoding="utf-8")
+    assert main(["joint-range", str(rig), "--quiet"]) == 0
+    said = capsys.readouterr().out
+    assert "elbow  from    -5.0 deg  its limit" in said
+    assert re.search(r"to     145\.\d deg  bone_distal / bone_proximal, [\d.]+ mm deep, sharing [\d.]+ mm³", said)
+    assert "ends found to 0.1 deg" in said
+    assert main(["joint-range", str(rig), "--quiet", "--json"]) == 0
+    (elbow,) = json.loads(capsys.readouterr().out)["joint_ranges"]
+    jsonschema.Draft202012Validator(joint_range_schema()).validate(elbow)
+    assert (elbow["joint"], elbow["limits_deg"], elbow["low"]["ended_by"]) == ("elbow", [-5.0, 175.0], "limit")
+    assert elbow["high"]["degrees"] == pytest.approx(145.3, abs=0.2)
+    assert elbow["high"]["beyond"]["depth_mm"] > elbow["high"]["beyond"]["depth_limit_mm"]
+
+
+def test_ranges_of_a_rig_without_joints_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["joint-range", str(write_tiny_rig(tmp_path / "pairs")), "--quiet"]) == 2
+    assert "no joint drives this rig" in capsys.readouterr().err
+
+
+def test_a_pose_beyond_the_limits_of_the_built_in_limb_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["run", "upper_limb", "--set", "drive.pose.elbow_deg=400", "--out", str(tmp_path / "out"), "--quiet"]
+    assert main(arguments) == 2
+    assert "found 400 degrees" in (said := capsys.readouterr().err)
+    assert "[-5, 150]" in said
+    assert not (tmp_path / "out").exists()

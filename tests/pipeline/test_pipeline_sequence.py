@@ -97,6 +97,7 @@ def test_a_pose_whose_bones_collide_is_refused_and_the_others_are_made(job: Job,
     said = report.frames[1].problem
     assert "frame 1 at 1 s (elbow 150 deg) is refused: bones 'bone_distal' and 'bone_proximal' run into" in said
     assert "mm deep" in said
+    assert "the largest feasible pose on this way is elbow 145." in said
     assert report.verdict == "failed"
     assert {check.name for check in report.checks if not check.passed} == {
         "refused frames",

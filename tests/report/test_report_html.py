@@ -13,7 +13,8 @@ from musclefit.anatomy.findings import Finding
 from musclefit.errors import InputError
 from musclefit.report.html import PNG_SIGNATURE, number, render_html, render_inspection, seconds
 from musclefit.report.model import MeshReport, TissueSummary
-from musclefit.validate.model import NotChecked, OverlapCheck, PairOverlap
+from musclefit.validate.joint_ranges import JointRange, RangeEnd
+from musclefit.validate.model import BoneOverlap, NotChecked, OverlapCheck, PairOverlap
 
 HOSTILE = '"><script>alert(1)</script>&<img src=x onerror=alert(2)>{{ 7*7 }}'
 PNG = PNG_SIGNATURE + b"rest"
@@ -82,6 +83,18 @@ def test_every_name_is_escaped(make_report, make_side, make_tissue):
     assert "{{ 7*7 }}" in read.text
     inspected = MeshReport(HOSTILE, HOSTILE, (TissueSummary(HOSTILE, "bone", 1, 1, 1.0, None),), (), side.overlaps)
     assert "script" not in _Reader(render_inspection(inspected)).tags
+
+
+def test_touching_bones_and_joint_ranges_are_shown(make_report, make_side):
+    assert "How far the joints can turn" not in render_html(make_report(), pictures={})
+    touching = BoneOverlap(HOSTILE, "ulna", 0.0, 0.5, 0.5, 0.2, 100.0, 0.6)
+    elbow = JointRange("elbow", RangeEnd(-5.0, "limit"), RangeEnd(120.5, "bones", touching), (-5.0, 150.0), (HOSTILE,))
+    free = JointRange("wrist", RangeEnd(-180.0, "not met"), RangeEnd(180.0, "not met"), (-math.inf, math.inf))
+    side = make_side(overlaps=OverlapCheck((), 3, (), (touching,)))
+    read = _Reader(render_html(make_report(result=side, joint_ranges=(elbow, free)), pictures={}))
+    assert "script" not in read.tags
+    for words in ("Bones that touch in the pose", "120.5", "0.2 mm deep", "its limit", "nothing so far", "no solids"):
+        assert words in read.text
 
 
 def test_the_banner_says_passed_or_what_failed(make_report, make_side, make_tissue):

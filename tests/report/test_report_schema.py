@@ -12,7 +12,11 @@ import pytest
 
 from musclefit.report.model import MeshReport, TissueSummary
 from musclefit.report.schema import mesh_report_schema, report_schema, to_json
-from musclefit.validate.model import NotChecked, OverlapCheck, PairOverlap
+from musclefit.validate.joint_ranges import JointRange, RangeEnd
+from musclefit.validate.model import BoneOverlap, NotChecked, OverlapCheck, PairOverlap
+
+TOUCHING = BoneOverlap("humerus", "ulna", 0.0, 0.5, 0.5, 0.2, 100.0, 0.6)
+ELBOW = JointRange("elbow", RangeEnd(-5.0, "limit"), RangeEnd(120.0, "bones", TOUCHING), (-5.0, math.inf), ("fibula",))
 
 
 def _validate(values, schema):
@@ -26,6 +30,7 @@ def test_reports_are_valid_by_their_schema(make_report, make_side):
         make_report(),
         make_report(baseline=make_side(status="stalled")),
         make_report(result=make_side(mesh=None)),
+        make_report(result=make_side(overlaps=OverlapCheck((), 3, (), (TOUCHING,))), joint_ranges=(ELBOW,)),
     ):
         _validate(to_json(report), report_schema())
 
@@ -57,6 +62,7 @@ def test_the_promised_keys_are_there(make_report, make_side):
         "findings",
         "baseline",
         "certificate_cost",
+        "joint_ranges",
         "tets",
         "timings_s",
         "peak_memory_mb",
@@ -137,3 +143,22 @@ def test_inspections_are_valid_by_their_schema():
     _validate(found, mesh_report_schema())
     assert found["overlaps"] == [{"a": "skin", "b": "b", "volume_mm3": 2.0}]
     assert found["verdict"] == "failed"
+
+
+def test_joint_ranges_and_touching_bones_are_written_with_their_limits(make_report, make_side):
+    found = to_json(make_report(result=make_side(overlaps=OverlapCheck((), 3, (), (TOUCHING,))), joint_ranges=(ELBOW,)))
+    assert found["bone_overlaps"][0] == {
+        "a": "humerus",
+        "b": "ulna",
+        "rest_mm3": 0.0,
+        "posed_mm3": 0.5,
+        "beyond_mm3": 0.5,
+        "beyond_limit_mm3": 100.0,
+        "depth_mm": 0.2,
+        "depth_limit_mm": 0.6,
+    }
+    (elbow,) = found["joint_ranges"]
+    assert elbow["limits_deg"] == [-5.0, None]
+    assert elbow["low"] == {"degrees": -5.0, "ended_by": "limit", "beyond": None}
+    assert elbow["high"]["beyond"] == found["bone_overlaps"][0]
+    assert elbow["untested"] == ["fibula"]

@@ -16,6 +16,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import refined_to
 from musclefit.progress import Silent
 from musclefit.validate.carried import SETTLED_MM3, CarriedVolume, Mapped, carried_volumes
+from musclefit.validate.model import BoneOverlap
 from musclefit.validate.overlaps import check_outside_skin, check_overlaps, rest_overlaps, solid_anatomy
 
 QUIET = Silent()
@@ -330,3 +331,20 @@ def test_the_forearm_at_rest_is_free_of_overlap(anatomy_data: Path) -> None:
     # One phalanx pierces the rebuilt skin of the finger by 0.018 mm³; everything else is inside.
     assert sum(t.rest_mm3 for t in outside.tissues) < 0.05
     assert max(t.introduced_mm3 for t in outside.tissues) == pytest.approx(0.0, abs=1e-6)
+
+
+# --- what bones share by their motions
+
+
+def test_only_what_is_beyond_the_motions_of_bones_counts_as_introduced():
+    """Given 1 mm of overlap with the pose; what is deformed shares 1 mm, then 1.5 mm."""
+    rest = anatomy(a=box((0, 0, 0), (10, 10, 10)), b=box((12, 0, 0), (20, 10, 10)), c=box((22, 0, 0), (30, 10, 10)))
+    given = (BoneOverlap("a", "b", 0.0, 100.0, 100.0, 1.0, 200.0, 2.0),)
+    for shift, beyond in ((-3.0, 0.0), (-3.5, 50.0), (-2.5, 0.0)):
+        after = moved(rest, b=(shift, 0, 0), c=(-12.5, 0, 0))
+        found = check_overlaps(rest, after, mapped=same, by_motions=given, progress=QUIET)
+        pairs = {(p.a, p.b): p for p in found.pairs}
+        assert pairs["a", "b"].introduced_mm3 == pytest.approx(beyond, abs=1e-9)
+        assert pairs["a", "b"].deformed_mm3 == pytest.approx(100.0 * (-2.0 - shift))
+        assert pairs["a", "c"].introduced_mm3 == pytest.approx(50.0), "a pair that was not given counts in full"
+        assert found.bones == given

@@ -22,6 +22,10 @@ MAX_FLEXION_DEG = 140.0
 MAX_PRONATION_DEG = 80.0
 """From rest (extended, supinated) up to these, together and apart, no bone meets another."""
 
+ELBOW_LIMITS_DEG = (-5.0, 150.0)
+FOREARM_LIMITS_DEG = (-90.0, 90.0)
+"""A pose beyond these is refused; they are those of people, and the bones' own are wider (-8 to 151, -123 to 154)."""
+
 CAPITULUM_CENTRE: Points = frozen([17.0, 0.0, 0.0])
 
 _CARRY = np.deg2rad(CARRYING_ANGLE_DEG)

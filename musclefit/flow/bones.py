@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import igl
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -13,10 +14,12 @@ from scipy.spatial.transform import Rotation
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
+from musclefit.fields.locked import LockedField
 from musclefit.fields.rbf import RadialField
 from musclefit.fields.solenoidal import SolenoidalField
 from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
+from musclefit.flow.locks import BoneLocks, Stand
 from musclefit.flow.steppers import HandleStepper, StepMaker
 from musclefit.flow.steps import CayleyStep, Step
 from musclefit.geometry.arrays import Bool, Float, Points
@@ -35,6 +38,10 @@ SLIP_PASSES = 2
 
 MORE_ITERATIONS = 0.5
 """Of each such pass, as a share of those of the first fit."""
+
+ACROSS_BONE = 2.0
+"""Root of how much more a field that misses bones counts across their surface than along it: across, tissue would lose
+volume to the bone; along, it only shears."""
 
 EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
 """Of the exact handles: conjugate gradients, started anew for what rounding left over, until they are met to this."""
@@ -73,6 +80,13 @@ class RigidGroup:
     def exposed(self) -> Points:
         """(e, 3) vertices outside the contact zone, at rest, mm."""
         return self.surface.vertices[~self.contact]
+
+    @property
+    def normals(self) -> Points:
+        """(v, 3) outward unit normals of the surface's vertices at rest; 0 where triangles leave none."""
+        found = igl.per_vertex_normals(np.array(self.surface.vertices), np.array(self.surface.faces))
+        normals: Points = np.nan_to_num(np.asarray(found))
+        return normals
 
     def at(self, motions: Mapping[str, RigidMotion]) -> TriMesh:
         """The surface where the motions take it."""
@@ -142,9 +156,10 @@ class BoneStepper:
     """One step per stretch, of a field in two parts: the handles' radial sum, and a local part that holds the bones.
 
     The local part is the curl of a B-spline potential on lattices around the bones, so that it has no divergence. It
-    takes what the radial part leaves of the rigid motions of the bones' exposed vertices (`held_points`), in the least
-    squares sense, and the exact handles to the last digit. Each stretch starts from where the stretches before took the
-    held points, so that errors do not add up. In the contact zone two bones slide past each other closer than any
+    takes what the radial part leaves of the rigid motions of the bones' exposed vertices, in the least squares sense,
+    and the exact handles to the last digit. What it still misses, locks take: on the bones' surfaces and around them the
+    field is their rigid motion. So bones are where they belong after every stretch, and each stretch starts from there.
+    In the contact zone two bones slide past each other closer than any
     tissue between them could follow: there only the part along the bone's normal is held, and the field may slip.
 
     Parameters
@@ -159,6 +174,8 @@ class BoneStepper:
         Spacings of the local part's lattices.
     iterations : int
         Of the first fit of the local part, from nothing.
+    locks : BoneLocks
+        Of the groups, in their order.
     """
 
     handles: HandleStepper
@@ -167,36 +184,41 @@ class BoneStepper:
     exact: int
     lattices_mm: Sequence[float]
     iterations: int
-
-    def held_points(self) -> Points:
-        """(h, 3) points at rest that a march must have as its last tested points, mm."""
-        return np.concatenate([self.handles.path.position(0.0)[: self.exact], *(g.exposed for g in self.groups)])
+    locks: BoneLocks
 
     @property
     def shortens_exactly(self) -> bool:
         """False: bones move on curves."""
         return False
 
-    def anchors(self, start: float) -> Points:
-        """(a, 3) vertices of the contact zones, exactly on their bones at the start of the stretch."""
-        return self._slipping(start)
+    def anchors(self, start: float) -> Points:  # noqa: ARG002
+        """None."""
+        return np.zeros((0, 3))
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The one step."""
+        return (lambda _tested, _anchors: self.step(start, end),)
 
-        def make(tested: Points, anchors: Points) -> Step:
-            surfaces = self._surfaces(end)
-            exposed = [s.vertices[~g.contact] for g, s in zip(self.groups, surfaces, strict=True)]
-            here, there = self.handles.path.position(start), self.handles.path.position(end)
-            targets = np.concatenate([there[: self.exact], *exposed])
-            held = tested[-len(targets) :]
-            here[: self.exact] = held[: self.exact]
-            radial = self._radial(here, there)
-            local = self._local(radial, held, targets, anchors, start=start, end=end)
-            exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
-            return CayleyStep(_exact_at(exact, moves, CorrectedField(radial, local)))
+    def step(self, start: float, end: float) -> CayleyStep:
+        """The step from one moment to another, which depends on nothing else."""
+        here, there = self.handles.path.position(start), self.handles.path.position(end)
+        held = np.concatenate([here[: self.exact], *self._exposed(start)])
+        targets = np.concatenate([there[: self.exact], *self._exposed(end)])
+        radial = self._radial(here, there)
+        local = self._local(radial, held, targets, self._slipping(start), start=start, end=end)
+        locks = self.locks.of_step(self._stands(start), self._stands(end))
+        field = LockedField(CorrectedField(radial, local), locks)
+        exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
+        free = ~field.locked(exact)  # the others are carried by their bones, which are exact
+        return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], CorrectedField(radial, local))))
 
-        return (make,)
+    def _exposed(self, t: float) -> list[Points]:
+        motions = self.motions.at(t)
+        return [motions[g.bones[0]](g.exposed) for g in self.groups]
+
+    def _stands(self, t: float) -> list[Stand]:
+        motions = self.motions.at(t)
+        return [Stand.of(motions[group.bones[0]]) for group in self.groups]
 
     def _radial(self, here: Points, there: Points) -> RadialField:
         """The handles' part."""
@@ -215,6 +237,8 @@ class BoneStepper:
         middles = 0.5 * np.concatenate([held + targets, anchors + places])
         backend = SolenoidalBackend(MISSED_MM)
         local = backend.at_rest(middles, spacings_mm=self.lattices_mm)
+        outward = ACROSS_BONE * self._exposed_normals(start, end)
+        on_bones = slice(len(held) - len(outward), len(held))
         for number in range(1 + SLIP_PASSES):
             if number:
                 slipped = CayleyStep(CorrectedField(radial, local))(anchors)
@@ -222,14 +246,23 @@ class BoneStepper:
             at = 0.5 * np.concatenate([held + targets, anchors + places])
             left = np.concatenate([targets - held, places - anchors]) - CorrectedField(radial, local).displacement(at)
             more = backend.fit(
-                at,
-                left,
-                slip_normals=self._half_way(normals, start=start, end=end),
+                np.concatenate([at[: len(held)], at[on_bones], at[len(held) :]]),
+                np.concatenate([left[: len(held)], left[on_bones], left[len(held) :]]),
+                slip_normals=np.concatenate([outward, self._half_way(normals, start=start, end=end)]),
                 on=local.levels,
                 iterations=math.ceil(MORE_ITERATIONS * self.iterations) if number else self.iterations,
             )
             local = local.plus(more)
         return local
+
+    def _exposed_normals(self, start: float, end: float) -> Points:
+        """Of the exposed vertices, in the middle of a stretch."""
+        stands = zip(self.groups, self._stands(start), self._stands(end), strict=True)
+        turned = [g.normals[~g.contact] @ np.linalg.inv(a.half_way(b).linear) for g, a, b in stands]
+        normals = np.concatenate([np.zeros((0, 3)), *turned])
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        unit: Points = normals / np.where(lengths > 0.0, lengths, 1.0)
+        return unit
 
     def _surfaces(self, t: float) -> list[TriMesh]:
         motions = self.motions.at(t)
@@ -311,12 +344,7 @@ def contact_residuals(groups: Sequence[RigidGroup], deformation: Deformation, mo
 
 
 def _group(anatomy: Anatomy, bones: Sequence[str], sampled_mm: float) -> RigidGroup:
-    surfaces = [anatomy[bone].surface for bone in bones]
-    offsets = np.cumsum([0, *(len(s.vertices) for s in surfaces[:-1])])
-    surface = TriMesh(
-        np.concatenate([s.vertices for s in surfaces]),
-        np.concatenate([s.faces + offset for s, offset in zip(surfaces, offsets, strict=True)]),
-    )
+    surface = TriMesh.together([anatomy[bone].surface for bone in bones])
     given = len(surface.vertices)
     surface = with_short_edges(surface, longest_mm=sampled_mm)
     return RigidGroup(tuple(bones), surface, np.zeros(len(surface.vertices), dtype=bool), given)

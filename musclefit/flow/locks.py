@@ -7,7 +7,7 @@ surface has the value 1, unless another bone is so near that both cannot have th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
-from musclefit.fields.locked import WeightLattice
-from musclefit.fields.weights import ACROSS, NOTHING, ONE, SIDE, WHOLE
+from musclefit.fields.locked import Lock, WeightLattice
+from musclefit.fields.weights import ACROSS, NOTHING, SIDE, WHOLE
 from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
@@ -349,6 +349,46 @@ class Stand:
         return moved
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class BoneLocks:
+    """What locks groups of bones, prepared at rest once for all steps.
+
+    Parameters
+    ----------
+    distances : tuple of BoneDistances
+        Around each group.
+    alone : tuple of WeightLattice
+        Its weights where no other group is near.
+    gap_mm : float
+        Where two groups come closer than this, neither is locked; from 1.6 times as far both are, whole.
+    """
+
+    distances: tuple[BoneDistances, ...]
+    alone: tuple[WeightLattice, ...]
+    gap_mm: float
+
+    @classmethod
+    def around(cls, surfaces: Sequence[TriMesh], *, spacing_mm: float, fade_mm: float, gap_mm: float) -> BoneLocks:
+        """Of the groups that closed surfaces at rest bound."""
+        found = tuple(BoneDistances.around(s, spacing_mm=spacing_mm, fade_mm=fade_mm) for s in surfaces)
+        return cls(found, tuple(distances.weights() for distances in found), gap_mm)
+
+    def of_step(self, before: Sequence[Stand], after: Sequence[Stand]) -> tuple[Lock, ...]:
+        """The locks of a Cayley step from one stand of every group to another.
+
+        Raises
+        ------
+        FieldError
+            A group turns by about 180 degrees.
+        """
+        middles = [a.half_way(b) for a, b in zip(before, after, strict=True)]
+        weights = step_weights(self.distances, middles, self.alone, gap_mm=self.gap_mm)
+        return tuple(
+            Lock.of_step(weight, (a.linear, a.translation), (b.linear, b.translation))
+            for weight, a, b in zip(weights, before, after, strict=True)
+        )
+
+
 def step_weights(
     bones: Sequence[BoneDistances], stands: Sequence[Stand], alone: Sequence[WeightLattice], *, gap_mm: float
 ) -> tuple[WeightLattice, ...]:
@@ -517,5 +557,3 @@ def _write_shared(distances, squares, nearest, sees, fade, gap, values):
                 w *= 1.0 - _smooth((d + nearest[row, at] - gap) / (0.6 * gap))
             values[row, at] = np.uint16(65535.0 * w)
 
-
-__all__ = ["ONE", "BoneDistances", "Mapping", "Stand", "step_weights", "surface_grid"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,15 @@ class TriMesh:
 
     def __post_init__(self) -> None:
         _freeze(self, "faces", corners=3)
+
+    @classmethod
+    def together(cls, surfaces: Sequence[TriMesh]) -> TriMesh:
+        """Several surfaces as one, their vertices and triangles in order."""
+        offsets = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
+        return cls(
+            np.concatenate([surface.vertices for surface in surfaces]),
+            np.concatenate([surface.faces + offset for surface, offset in zip(surfaces, offsets, strict=True)]),
+        )
 
     def with_vertices(self, vertices: Points) -> TriMesh:
         """The same triangles at other positions."""

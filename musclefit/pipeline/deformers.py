@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from types import MappingProxyType
 
 import numpy as np
 
-from musclefit.anatomy.model import TissueKind
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import RigError
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
@@ -21,12 +21,14 @@ from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, keeping_bones, kept_bones
 from musclefit.flow.lattice import march_lattice
+from musclefit.flow.locks import BoneLocks
 from musclefit.flow.march import Marching, Pace, one_shot, points_beside
 from musclefit.flow.rules import rule_for
 from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
 from musclefit.flow.steps import ExplicitStep
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.distances import thinned
+from musclefit.geometry.meshes import TriMesh
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles
 from musclefit.rig.job import Job
@@ -49,6 +51,11 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
+
+import os
+LOCK_SPACING_MM = float(os.environ.get("LS", "0.5"))
+LOCK_FADE_MM = float(os.environ.get("LF", "6"))
+LOCK_GAP_MM = float(os.environ.get("LG", "3"))
 
 CONTACT_SAMPLED = 0.8
 """... and in and around the contact zones, in units of the finest lattice: between coarser samples the field, which is
@@ -111,9 +118,8 @@ def march_of(job: Job, points: Points, *, progress: Progress) -> tuple[Marching 
     rule = rule_for(settings.step, settings.step_rule)
     pace = Pace(settings.max_steps, least_steps(job), settings.share, job.stops)
     if job.rig.bones.rigid:
-        stepper, held = _bone_stepper(job)
-        tested = np.vstack([points, held])
-        march = Marching.begun(stepper, rule=rule, tested=tested, pace=pace, held=len(held))
+        stepper = _bone_stepper(job)
+        march = Marching.begun(stepper, rule=rule, tested=points, pace=pace)
         return march.marched(progress), tuple(stepper.groups)
     everywhere = settings.tested_at is TestedAt.ALL_POINTS
     tested = points if everywhere else points_beside(job.handles.source)
@@ -239,8 +245,8 @@ def _baseline_settings(job: Job) -> DeformerSettings:
     return replace(settings, kernel=Kernel.R2_LOG_R, smoothing=0.0) if isochoric else settings
 
 
-def _bone_stepper(job: Job) -> tuple[BoneStepper, Points]:
-    """The stepper that follows the bones, and the points that it holds."""
+def _bone_stepper(job: Job) -> BoneStepper:
+    """The stepper that follows the bones."""
     assert job.motions is not None  # a rig with rigid bones is driven by joints
     bones = job.rig.bones
     groups = rigid_groups(
@@ -252,15 +258,24 @@ def _bone_stepper(job: Job) -> tuple[BoneStepper, Points]:
     )
     handles = _with_spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
     settings = job.rig.deformer
-    stepper = BoneStepper(
+    return BoneStepper(
         HandleStepper(BonePath(handles, job.motions), backend_for(settings), HANDLE_STEPS[settings.step]),
         groups=groups,
         motions=job.motions,
         exact=len(job.handles),
         lattices_mm=bones.lattices_mm,
         iterations=bones.iterations,
+        locks=BoneLocks.around(
+            [_bone_surface(job.anatomy, group.bones) for group in groups],
+            spacing_mm=LOCK_SPACING_MM,
+            fade_mm=LOCK_FADE_MM,
+            gap_mm=LOCK_GAP_MM,
+        ),
     )
-    return stepper, stepper.held_points()
+
+
+def _bone_surface(anatomy: Anatomy, bones: Sequence[str]) -> TriMesh:
+    return TriMesh.together([anatomy[bone].surface for bone in bones])
 
 
 def _with_spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles:

@@ -34,7 +34,7 @@ from musclefit.pipeline.deformers import (
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import BoneLimit, JointDrive, MeshSettings, PathKind, StepKind
+from musclefit.rig.model import BoneLimit, JointDrive, MeshSettings, PathKind, StepKind, TransformDrive
 from musclefit.validate.bones import first_collision
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
@@ -319,7 +319,7 @@ class _Finisher:
             return _kept_field(self.job, deformed)
         if not deformed.groups:
             return None
-        assert self.job.motions is not None  # held bones are moved by joints
+        assert self.job.motions is not None  # a rig with rigid bones says how they move
         exposed = exposed_residuals(deformed.groups, deformed.deformation, _final_motions(self.job))
         contact = contact_residuals(deformed.groups, deformed.deformation, self.job.motions)
         return BoneFieldCheck(
@@ -355,20 +355,21 @@ def _mesh(tets: CarriedTets) -> MeshCheck:
 
 def _refuse_colliding_bones(job: Job, progress: Progress) -> None:
     """Raise before the soft tissue is touched when bones run into each other on the way to the pose."""
-    assert job.motions is not None  # a rig with rigid bones is driven by joints
+    assert job.motions is not None  # a rig with rigid bones says how they move
     with progress.stage("test the bones' way"):
         fractions = [k / COLLISION_POSES for k in range(1, COLLISION_POSES + 1)]
         found = first_collision(job.anatomy, [(at, job.motions.at(at)) for at in fractions])
     if found is None:
         return
-    assert isinstance(job.rig.drive, JointDrive)
-    if job.rig.deformer.path is PathKind.JOINTS and not job.stops:
-        pose = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in job.rig.drive.pose)
+    drive = job.rig.drive
+    if isinstance(drive, JointDrive) and job.rig.deformer.path is PathKind.JOINTS and not job.stops:
+        pose = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in drive.pose)
     else:
         pose = f"{100.0 * found.at:.3g} % of the way"
+    said = {JointDrive: "joints", TransformDrive: "transforms"}.get(type(drive), "landmarks")
     raise InputError(
         f"bones {found.a!r} and {found.b!r} run into each other at {pose}: they share {found.volume_mm3:.3g} mm³, "
-        f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the joints, or let the bones "
+        f"{found.depth_mm:.2g} mm deep; choose a smaller pose, correct the {said}, or let the bones "
         "deform (bones.rigid = false)"
     )
 
@@ -381,7 +382,7 @@ def _held_bones(job: Job, deformed: Deformed) -> tuple[HeldBones, ...]:
 
 
 def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
-    """Where each held bone goes: by its joints, or as it is kept."""
+    """Where each held bone goes: as the drive moves it, or as it is kept."""
     kept = {bone.name: bone.motion for bone in deformed.kept}
     return {**_final_motions(job), **kept}
 
@@ -416,5 +417,5 @@ def _percent(bone: KeptBone) -> str:
 
 
 def _final_motions(job: Job) -> Mapping[str, RigidMotion]:
-    """Where the joints take the bones of the anatomy; nothing where no joint drives."""
+    """Where the drive takes the bones of the anatomy; nothing where it says no motion of theirs."""
     return {} if job.motions is None else job.motions.at(1.0)

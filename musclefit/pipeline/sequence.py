@@ -14,9 +14,9 @@ from musclefit.geometry.sections import Sections
 from musclefit.pipeline.retarget import outcome_of
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Side
+from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job, path_by_joints
-from musclefit.rig.joints import JointSystem
-from musclefit.rig.model import JointDrive
+from musclefit.rig.model import Drive, JointDrive, TransformDrive
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import motions_of
 from musclefit.validate.bones import BoneCollision, first_collision
@@ -25,6 +25,9 @@ from musclefit.validate.overlaps import SolidAnatomy, solid_anatomy
 
 COLLISION_DEG = 7.5
 """Bones are tested for running into each other whenever a joint has turned this far on the way from rest to a pose."""
+
+COLLISION_MM = 5.0
+"""... and whenever a bone that a transform moves has gone this far along its screw, against another."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,14 +63,12 @@ class Stage:
     Parameters
     ----------
     job : Job
-        Driven by joints; its own pose plays no part.
-    joints : JointSystem
+        Driven by joints or transforms; its own pose plays no part.
     rest : SolidAnatomy
     sections : mapping of muscle name to Sections
     """
 
     job: Job
-    joints: JointSystem
     rest: SolidAnatomy
     sections: Mapping[str, Sections]
 
@@ -78,15 +79,14 @@ class Stage:
         Raises
         ------
         InputError
-            No joint drives it.
+            Neither joints nor transforms drive it.
         """
-        if job.joints is None:
-            raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
+        require_motion(job)
         progress = progress or Silent()
-        return cls(job, job.joints, solid_anatomy(job.anatomy, progress=progress), muscle_sections(job.anatomy))
+        return cls(job, solid_anatomy(job.anatomy, progress=progress), muscle_sections(job.anatomy))
 
     def frame(self, pose: Pose, *, progress: Progress | None = None) -> Frame:
-        """The anatomy in a pose, made from rest along the joints alone.
+        """The anatomy in a pose, made from rest along the joints, or along each bone's screw, alone.
 
         A pose that the bones cannot take, and one that the method cannot reach, is a frame without anatomy that says
         why; so the other frames of a motion go on.
@@ -109,28 +109,54 @@ def frames(job: Job, poses: Sequence[Pose], *, progress: Progress | None = None)
     Raises
     ------
     InputError
-        No joint drives the job.
+        Neither joints nor transforms drive the job; or a time that the transforms do not have.
     RigError
         A pose of a joint that does not exist or beyond its limits; raised before the first frame.
     """
     stage = Stage.of(job, progress=progress)
     for pose in poses:
-        stage.joints.check_pose(pose.angles)
+        check_pose(job, pose)
     return (stage.frame(pose, progress=progress) for pose in poses)
+
+
+def require_motion(job: Job) -> None:
+    """Raise InputError unless the job can be sent to other poses."""
+    if job.joints is None and job.transforms is None:
+        raise InputError(
+            f'{job.source}: a motion turns joints or follows transforms; give the rig a [drive] of kind "joints" or '
+            '"transforms"'
+        )
+
+
+def check_pose(job: Job, pose: Pose) -> None:
+    """Raise RigError or InputError where the job's joints refuse the pose, or its transforms do not have its time."""
+    if job.joints is not None:
+        job.joints.check_pose(pose.angles)
+    elif job.transforms is not None:
+        job.transforms.at(pose.time_s)
 
 
 def posed_job(job: Job, pose: Pose) -> Job:
     """The same job sent to another pose; keyframes on the way to the rig's own pose are left out.
 
+    Joints go to the pose's angles, transforms to those of its time.
+
     Raises
     ------
     InputError
-        No joint drives it, or the pose is none of its joints'.
+        Neither joints nor transforms drive it, or the pose is none of its joints', or the time none of its bones'.
     """
-    if job.joints is None or not isinstance(job.rig.drive, JointDrive):
-        raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
-    drive = replace(job.rig.drive, pose=pose.degrees, keyframes=())
-    motions = motions_of(drive, job.joints, kind=job.rig.deformer.path)
+    require_motion(job)
+    drive: Drive = job.rig.drive
+    motions: BoneMotions
+    if job.transforms is not None and isinstance(drive, TransformDrive):
+        drive = replace(drive, time_s=pose.time_s)
+        motions = job.transforms.motions(drive)
+    else:
+        assert job.joints is not None
+        assert isinstance(drive, JointDrive)
+        drive = replace(drive, pose=pose.degrees, keyframes=())
+        motions = motions_of(drive, job.joints, kind=job.rig.deformer.path)
     return replace(
         job,
         rig=replace(job.rig, drive=drive),
@@ -142,17 +168,37 @@ def posed_job(job: Job, pose: Pose) -> Job:
 
 def collision_on_the_way(job: Job, pose: Pose) -> BoneCollision | None:
     """Bones that run into each other in the pose, else the first that do on the way there, every ``COLLISION_DEG``."""
-    assert job.motions is not None  # a posed job is driven by joints
-    count = max(1, math.ceil(max(abs(angle) for _, angle in pose.degrees) / COLLISION_DEG))
+    assert job.motions is not None  # a posed job says how its bones move
+    count = _probes(job, pose)
     there = first_collision(job.anatomy, [(1.0, job.motions.at(1.0))])
     if there is not None or count == 1:
         return there
     return first_collision(job.anatomy, [(k / count, job.motions.at(k / count)) for k in range(1, count)])
 
 
+def _probes(job: Job, pose: Pose) -> int:
+    """Poses to test on the way to one: by its angles, or by how bones move against the first one."""
+    assert job.motions is not None
+    if pose.degrees:
+        return max(1, math.ceil(max(abs(angle) for _, angle in pose.degrees) / COLLISION_DEG))
+    first, *others = job.motions.at(1.0).values()
+    against = [first.inverse() @ other for other in others]
+    farthest = max((max(m.turn_deg / COLLISION_DEG, m.slide_mm / COLLISION_MM) for m in against), default=0.0)
+    return max(1, math.ceil(farthest))
+
+
+def at_rest(job: Job, pose: Pose) -> bool:
+    """Whether a pose is the one that the anatomy rests in."""
+    if pose.degrees or job.transforms is None:
+        return not any(angle for _, angle in pose.degrees)
+    motions = job.transforms.at(pose.time_s).values()
+    return all((m.rotation == np.eye(3)).all() and not m.translation.any() for m in motions)
+
+
 def collision_in_words(found: BoneCollision, pose: Pose) -> str:
     """Bones, time, place on the way and depth."""
     where = ", ".join(f"{name} {found.at * angle:.4g} deg" for name, angle in pose.degrees)
+    where = where or f"{100.0 * found.at:.3g} % of the way from rest"
     return (
         f"frame {pose.number} at {pose.said} is refused: bones {found.a!r} and {found.b!r} run into each other at "
         f"{where}: they share {found.volume_mm3:.3g} mm³, {found.depth_mm:.2g} mm deep"

@@ -573,7 +573,14 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
     section, _, name = key.rpartition(".")
     records: dict[str, list[Any]] = {
         "anatomy": [model.AnatomySource],
-        "drive": [model.LandmarkDrive, model.JointDrive, model.CageDrive, model.LatticeDrive, model.SkeletonDrive],
+        "drive": [
+            model.LandmarkDrive,
+            model.JointDrive,
+            model.TransformDrive,
+            model.CageDrive,
+            model.LatticeDrive,
+            model.SkeletonDrive,
+        ],
         "deformer": [model.DeformerSettings],
         "bones": [model.BoneSettings],
         "surfaces": [model.SurfaceSettings],
@@ -595,6 +602,8 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
 def _as_toml(name: str, value: Any) -> str:
     if value == ():
         return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm") else "[]"
+    if value is None:
+        return "none"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):

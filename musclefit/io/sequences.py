@@ -277,7 +277,7 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
         "motion": plan.motion.source,
         "motion_sha256": plan.motion.digest(),
         "interpolation": "screw" if isinstance(plan.motion, BoneTransforms) else plan.interpolation.value,
-        "frames": plan.frames,
+        "frames": len(plan.poses),
         "settings": settings,
         "inputs": dict(plan.job.hashes),
     }

@@ -144,7 +144,7 @@ WRONG = {
     ),
     "kind is a list": (
         rig_table(drive__kind=["joints"]),
-        'arm.toml: drive.kind: found the list .*expected one of "landmarks", "joints", "cage"',
+        'arm.toml: drive.kind: found the list .*expected one of "landmarks", "joints", "transforms", "cage"',
     ),
     "no joints": (rig_table(drive__joints=None), "arm.toml: drive.joints: is missing"),
     "no pose": (rig_table(drive__pose=None), "arm.toml: drive.pose: is missing"),

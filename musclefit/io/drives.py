@@ -1,14 +1,15 @@
-"""Drives: a rig and the files that its drive names in, handles and their way or bones' motions out; no anatomy."""
+"""Drives: a rig and the files that its drive names in, handles and their way or bones' motions out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
@@ -18,7 +19,8 @@ from musclefit.io.named_files import NamedFiles
 from musclefit.io.surfaces import read_surface
 from musclefit.io.tables import parse_table
 from musclefit.io.transforms import parse_transforms
-from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
+from musclefit.rig.bone_fits import RigidPath, carrying, fit_bones, fit_findings, motions_of_fits
+from musclefit.rig.carried import carriers
 from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.job import cage_crossings, cage_handles
 from musclefit.rig.joints import JointSystem, parse_joints
@@ -26,6 +28,7 @@ from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import (
     CageCrossings,
     CageDrive,
+    Drive,
     JointDrive,
     LandmarkDrive,
     LatticeDrive,
@@ -35,7 +38,7 @@ from musclefit.rig.model import (
     TransformDrive,
     Unit,
 )
-from musclefit.rig.paths import motions_of, skeleton_of
+from musclefit.rig.paths import ScrewMotions, motions_of, skeleton_of
 from musclefit.rig.skeleton import SkeletonPath
 from musclefit.rig.transforms import BoneTransforms
 
@@ -91,7 +94,7 @@ class OnFits:
     """A drive of landmarks that move their bones rigidly: by the motions that fit best."""
 
     handles: Handles
-    motions: BoneMotions
+    motions: ScrewMotions
     path: RigidPath
     findings: tuple[Finding, ...]
     frame: str = ""
@@ -166,6 +169,30 @@ def _read_transforms(drive: TransformDrive, files: NamedFiles) -> OnTransforms:
         )
     findings = (*transforms.findings, *table.findings)
     return OnTransforms(motions, transforms, _handles(table), drive.landmarks_per_bone, findings, "".join(frames))
+
+
+def carried_along(driver: Driver, drive: Drive, anatomy: Anatomy, files: NamedFiles) -> Driver:
+    """The driver with the bones of the anatomy that the drive lets others carry.
+
+    Raises
+    ------
+    RigError
+        What `carriers` refuses.
+    """
+    if not isinstance(drive, LandmarkDrive | TransformDrive) or not drive.carried:
+        return driver
+    try:
+        if isinstance(driver, OnTransforms) and isinstance(drive, TransformDrive):
+            found = carriers(anatomy, drive.carried, moving=driver.transforms.bones())
+            transforms = driver.transforms.carrying(found)
+            return replace(driver, transforms=transforms, motions=transforms.motions(drive))
+        if isinstance(driver, OnFits):
+            found = carriers(anatomy, drive.carried, moving=driver.motions.final)
+            motions = carrying(driver.motions, found)
+            return replace(driver, motions=motions, path=replace(driver.path, motions=motions))
+    except RigError as error:
+        raise files.named("drive.carried", error) from None
+    return driver
 
 
 def _on_fits(pairs: Pairs, files: NamedFiles) -> OnFits:

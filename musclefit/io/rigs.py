@@ -11,7 +11,16 @@ from pathlib import Path
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, RigError
-from musclefit.io.drives import Driver, OnBones, OnFits, OnSkeleton, OnTransforms, Pairs, read_driver
+from musclefit.io.drives import (
+    Driver,
+    OnBones,
+    OnFits,
+    OnSkeleton,
+    OnTransforms,
+    Pairs,
+    carried_along,
+    read_driver,
+)
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
@@ -96,6 +105,7 @@ def read_rig(
     further = _read_further(rig, points, files)
     driver = read_driver(rig, files)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
+    driver = carried_along(driver, rig.drive, anatomy, files)
     findings += _bone_findings(anatomy, driver, files)
     findings += (*driver.findings, *_frame_findings(anatomy, driver, files))
     findings += outside_findings(further, anatomy)
@@ -226,9 +236,9 @@ def _bone_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tuple
                 raise files.named("drive.transforms", error) from None
             said, code = "have no transform", "bone-without-transform"
             return still_findings(anatomy, transforms.bones(), subject=subject, said=said, code=code)
-        case OnFits(handles=handles):
+        case OnFits(motions=motions):
             said, code = "own no landmark", "bone-without-landmarks"
-            return still_findings(anatomy, handles.owner, subject=subject, said=said, code=code)
+            return still_findings(anatomy, tuple(motions.final), subject=subject, said=said, code=code)
         case Pairs() | OnSkeleton():
             return ()
 

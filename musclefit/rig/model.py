@@ -129,6 +129,7 @@ class LandmarkDrive:
 
     ``units`` is the length unit of files that state none. The columns of positions and of targets start with
     ``source_prefix`` and ``target_prefix``: with "child_" and "adult_" they are ``child_x_mm`` and ``adult_x_mm``.
+    Where bones are rigid, ``carried`` holds bones with those (or shell-style patterns for them) that move with them.
     """
 
     source: str
@@ -136,6 +137,7 @@ class LandmarkDrive:
     units: Unit = Unit.MILLIMETRE
     source_prefix: str = ""
     target_prefix: str = "target_"
+    carried: tuple[tuple[str, tuple[str, ...]], ...] = ()
     keyframes: tuple[PlaceKey, ...] = ()
 
     def __post_init__(self) -> None:
@@ -184,8 +186,9 @@ class TransformDrive:
 
     ``time_s`` is the time of the pose, the last where it is None. With ``reference_time_s`` the anatomy rests where
     the bones are at that time, and the motions start from there. ``units`` is the length unit of files that state none.
-    Handles are the ``landmarks`` of a file, or ("") ``landmarks_per_bone`` spread over each bone. A sequence has
-    ``frames`` poses evenly spaced in time, or (0) those of the file.
+    ``carried`` holds bones with those (or shell-style patterns for them) that move with them. Handles are the
+    ``landmarks`` of a file, or ("") ``landmarks_per_bone`` spread over each bone. A sequence has ``frames`` poses
+    evenly spaced in time, or (0) those of the file.
 
     Raises
     ------
@@ -197,6 +200,7 @@ class TransformDrive:
     time_s: float | None = None
     reference_time_s: float | None = None
     units: Unit = Unit.MILLIMETRE
+    carried: tuple[tuple[str, tuple[str, ...]], ...] = ()
     landmarks: str = ""
     landmarks_per_bone: int = 8
     frames: int = 0
@@ -570,6 +574,11 @@ class Rig:
                 f'deformer.backend: found "{BackendKind.LATTICE}", the control points\' own loop: it needs a [drive] '
                 f'of kind "lattice", step "{StepKind.EXPLICIT}" and step_rule "{StepRule.ROW_NORM}"; else write '
                 f'"{BackendKind.FFD}" or "{BackendKind.RBF}"'
+            )
+        if isinstance(self.drive, LandmarkDrive) and self.drive.carried and not self.bones.rigid:
+            raise RigError(
+                "drive.carried: has no effect where landmarks move no rigid bone; remove it, or write "
+                "bones.rigid = true"
             )
         if self.bones.rigid:
             _require_rigid_bones(self.drive, self.deformer)

@@ -96,7 +96,7 @@ _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
 }
 """Keys of the deformer that a backend has no use for."""
 
-_OPEN = ("anatomy.kinds", "drive.pose", "tets.edge_length_mm", "tets.envelope_mm")
+_OPEN = ("anatomy.kinds", "drive.pose", "drive.carried", "tets.edge_length_mm", "tets.envelope_mm")
 """Tables whose keys the user chooses."""
 
 
@@ -290,6 +290,9 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     if dotted == "anatomy.kinds":
         kinds = section.section(key)
         return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
+    if dotted == "drive.carried":
+        carried = section.section(key)
+        return tuple((carrier, _listed(carried, carrier)) for carrier in carried.table)
     if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
         lengths = section.section(key)
         return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)

@@ -306,6 +306,10 @@ class BoneTransforms:
             tracks[bone] = Track(np.array(times), tuple(moved[time] for time in times))
         return replace(self, tracks=tracks)
 
+    def carrying(self, carriers: Mapping[str, str]) -> BoneTransforms:
+        """The same, and further bones (by name) that move with one of these."""
+        return replace(self, tracks={**self.tracks, **{bone: self.tracks[by] for bone, by in carriers.items()}})
+
     def motions(self, drive: TransformDrive) -> ScrewMotions:
         """Every bone on the screw from rest to its pose at the drive's time, the last where it names none.
 

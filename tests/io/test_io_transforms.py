@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tiny_rigs import drive_by, write_tiny_rig
+from tiny_rigs import drive_by, egg, write_tiny_rig
 
 from musclefit.errors import InputError, LandmarkError, RigError
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.io.outputs import ply_bytes
 from musclefit.io.rigs import read_rig
 from musclefit.io.transforms import parse_transforms, transforms_text
 from musclefit.rig.bone_fits import RigidPath
@@ -350,6 +351,36 @@ def test_settings_that_do_not_fit_are_refused(rig: Path, override: str, words: s
         read_rig(rig, overrides=[override])
 
 
+CARRIED = 'kind = "transforms"\ntransforms = "moved.json"\ncarried = { bone_distal = ["bone_*"] }\ntime_s = 0.5'
+
+
+def test_bones_that_are_carried_move_with_their_carrier(rig: Path) -> None:
+    (rig.parent / "anatomy" / "bone_hand.ply").write_bytes(ply_bytes(egg((50, 0, 0), (4, 4, 4))))
+    drive_by(rig, CARRIED)
+    job = read_rig(rig)
+    assert job.findings == ()
+    assert job.motions is not None
+    assert job.transforms is not None
+    for bone in ("bone_distal", "bone_hand"):
+        same(job.motions.at(1.0)[bone], about_z(20.0))
+        same(job.transforms.at(1.0)[bone], about_z(40.0))
+    same(job.motions.at(1.0)["bone_proximal"], RigidMotion.identity())
+    assert set(job.handles.owner) == {"bone_proximal", "bone_distal", "bone_hand"}
+    for table, words in (
+        ('{ bone_dital = ["bone_hand"] }', r"'bone_dital' has no motion of its own .*did you mean 'bone_distal'"),
+        ('{ bone_distal = ["hand*"] }', r"bone_distal: 'hand\*' fits no bone; .*known: bone_distal, bone_hand"),
+        (
+            '{ bone_distal = ["bone_hand"], bone_proximal = ["*hand"] }',
+            r"bone 'bone_hand' moves with 'bone_distal' and with 'bone_proximal'; name one carrier",
+        ),
+        ("{ bone_distal = [] }", r"drive.carried.bone_distal: is an empty list"),
+        ('{ bone_distal = "bone_hand" }', r"drive.carried.bone_distal: found the text 'bone_hand'"),
+    ):
+        drive_by(rig, CARRIED.replace('{ bone_distal = ["bone_*"] }', table))
+        with pytest.raises(RigError, match=rf"tiny.toml: drive.carried.*{words}|tiny.toml: {words}"):
+            read_rig(rig)
+
+
 # --- rigid bones from landmarks
 
 RIGID = ("bones.rigid=true", "deformer.step=cayley", "deformer.kernel=isochoric-r3")
@@ -407,6 +438,18 @@ def test_bones_that_own_no_landmark_are_named(tmp_path: Path) -> None:
     marks.write_text("\n".join(line for line in lines if "bone_proximal_" not in line) + "\n", encoding="utf-8")
     messages = [f.message for f in read_rig(path, overrides=RIGID).findings]
     assert "1 bones own no landmark and follow the soft tissue: bone_proximal" in messages
+
+
+def test_landmarks_carry_other_bones_too(tmp_path: Path) -> None:
+    path = write_tiny_rig(tmp_path / "rig")
+    (path.parent / "anatomy" / "bone_hand.ply").write_bytes(ply_bytes(egg((50, 0, 0), (4, 4, 4))))
+    override = 'drive.carried.bone_distal=["bone_hand"]'
+    job = read_rig(path, overrides=[*RIGID, override])
+    assert job.motions is not None
+    same(job.motions.at(1.0)["bone_hand"], about_z(25.0))
+    assert [finding.code for finding in job.findings] == ["bone-fit", "bone-fit"]
+    with pytest.raises(RigError, match=r"drive.carried: has no effect where landmarks move no rigid bone"):
+        read_rig(path, overrides=[override])
 
 
 def test_other_drives_say_no_rigid_motion(tmp_path: Path) -> None:

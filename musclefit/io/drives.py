@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,16 +19,16 @@ from musclefit.io.named_files import NamedFiles
 from musclefit.io.surfaces import read_surface
 from musclefit.io.tables import parse_table
 from musclefit.io.transforms import parse_transforms
-from musclefit.rig.bone_fits import RigidPath, carrying, fit_bones, fit_findings, motions_of_fits
+from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
 from musclefit.rig.carried import carriers
+from musclefit.rig.chain import ChainMotions, carriers_of
 from musclefit.rig.handles import BoneMotions, Handles
-from musclefit.rig.job import cage_crossings, cage_handles
+from musclefit.rig.job import cage_crossings, cage_handles, check_owners
 from musclefit.rig.joints import JointSystem, parse_joints
 from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import (
     CageCrossings,
     CageDrive,
-    Drive,
     JointDrive,
     LandmarkDrive,
     LatticeDrive,
@@ -81,7 +81,7 @@ class OnBones:
 class OnTransforms:
     """A drive of transforms: landmarks from a file, or None to spread ``per_bone`` over each bone."""
 
-    motions: BoneMotions
+    motions: ScrewMotions | ChainMotions
     transforms: BoneTransforms
     landmarks: Handles | None
     per_bone: int
@@ -94,7 +94,7 @@ class OnFits:
     """A drive of landmarks that move their bones rigidly: by the motions that fit best."""
 
     handles: Handles
-    motions: ScrewMotions
+    motions: ScrewMotions | ChainMotions
     path: RigidPath
     findings: tuple[Finding, ...]
     frame: str = ""
@@ -117,7 +117,7 @@ def read_driver(rig: Rig, files: NamedFiles) -> Driver:
             pairs = _read_landmark_pairs(rig.drive, files)
             return _on_fits(pairs, files) if rig.bones.rigid else pairs
         case TransformDrive():
-            return _read_transforms(rig.drive, files)
+            return _read_transforms(rig.drive, files, kind=rig.deformer.path)
         case SkeletonDrive():
             return _read_skeleton(rig.drive, files)
         case CageDrive():
@@ -146,7 +146,7 @@ def _read_joint_drive(drive: JointDrive, files: NamedFiles, *, kind: PathKind) -
     return OnBones(motions, joints, landmarks, drive.landmarks_per_bone, table.findings, table.coordinate_system)
 
 
-def _read_transforms(drive: TransformDrive, files: NamedFiles) -> OnTransforms:
+def _read_transforms(drive: TransformDrive, files: NamedFiles, *, kind: PathKind) -> OnTransforms:
     data = files.read(Path(drive.transforms), key="drive.transforms")
     key = "drive.transforms"
     try:
@@ -155,7 +155,7 @@ def _read_transforms(drive: TransformDrive, files: NamedFiles) -> OnTransforms:
         if drive.reference_time_s is not None:
             transforms = transforms.relative_to(drive.reference_time_s)
         key = "drive.time_s"
-        motions = transforms.motions(drive)
+        motions = transforms.motions(drive, kind=kind)
     except InputError as error:
         raise files.named(key, error) from None
     if not drive.landmarks:
@@ -171,28 +171,46 @@ def _read_transforms(drive: TransformDrive, files: NamedFiles) -> OnTransforms:
     return OnTransforms(motions, transforms, _handles(table), drive.landmarks_per_bone, findings, "".join(frames))
 
 
-def carried_along(driver: Driver, drive: Drive, anatomy: Anatomy, files: NamedFiles) -> Driver:
-    """The driver with the bones of the anatomy that the drive lets others carry.
+def on_anatomy(driver: Driver, rig: Rig, anatomy: Anatomy, files: NamedFiles) -> Driver:
+    """The driver with what only the anatomy tells: the bones that others carry, and which go along with which.
 
     Raises
     ------
-    RigError
-        What `carriers` refuses.
+    InputError
+        What `carriers` and `BoneTransforms.check_bones` refuse.
     """
-    if not isinstance(drive, LandmarkDrive | TransformDrive) or not drive.carried:
-        return driver
+    drive, kind = rig.drive, rig.deformer.path
+    if isinstance(driver, OnTransforms) and isinstance(drive, TransformDrive):
+        transforms = driver.transforms
+        try:
+            transforms.check_bones(anatomy)
+        except InputError as error:
+            raise files.named("drive.transforms", error) from None
+        transforms = transforms.carrying(_carried(drive, anatomy, files, moving=transforms.bones()))
+        if kind is PathKind.CHAIN:
+            transforms = transforms.chained(anatomy)
+        return replace(driver, transforms=transforms, motions=transforms.motions(drive, kind=kind))
+    if isinstance(driver, OnFits) and isinstance(drive, LandmarkDrive):
+        try:
+            check_owners(driver.handles, anatomy)
+        except LandmarkError as error:
+            raise files.named("drive", error) from None
+        carried = _carried(drive, anatomy, files, moving=driver.motions.final)
+        final = {**driver.motions.final, **{bone: driver.motions.final[by] for bone, by in carried.items()}}
+        motions: ScrewMotions | ChainMotions = ScrewMotions(final)
+        if kind is PathKind.CHAIN:
+            motions = ChainMotions(final, carriers_of(anatomy, [final]))
+        return replace(driver, motions=motions, path=replace(driver.path, motions=motions))
+    return driver
+
+
+def _carried(
+    drive: LandmarkDrive | TransformDrive, anatomy: Anatomy, files: NamedFiles, *, moving: Collection[str]
+) -> Mapping[str, str]:
     try:
-        if isinstance(driver, OnTransforms) and isinstance(drive, TransformDrive):
-            found = carriers(anatomy, drive.carried, moving=driver.transforms.bones())
-            transforms = driver.transforms.carrying(found)
-            return replace(driver, transforms=transforms, motions=transforms.motions(drive))
-        if isinstance(driver, OnFits):
-            found = carriers(anatomy, drive.carried, moving=driver.motions.final)
-            motions = carrying(driver.motions, found)
-            return replace(driver, motions=motions, path=replace(driver.path, motions=motions))
+        return carriers(anatomy, drive.carried, moving=moving)
     except RigError as error:
         raise files.named("drive.carried", error) from None
-    return driver
 
 
 def _on_fits(pairs: Pairs, files: NamedFiles) -> OnFits:

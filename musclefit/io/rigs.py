@@ -18,7 +18,7 @@ from musclefit.io.drives import (
     OnSkeleton,
     OnTransforms,
     Pairs,
-    carried_along,
+    on_anatomy,
     read_driver,
 )
 from musclefit.io.named_files import NamedFiles
@@ -27,6 +27,7 @@ from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.io.surfaces import read_anatomy
 from musclefit.io.tables import parse_toml
 from musclefit.progress import Progress, Silent
+from musclefit.rig.chain import ChainMotions, chain_findings
 from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import (
@@ -105,7 +106,7 @@ def read_rig(
     further = _read_further(rig, points, files)
     driver = read_driver(rig, files)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
-    driver = carried_along(driver, rig.drive, anatomy, files)
+    driver = on_anatomy(driver, rig, anatomy, files)
     findings += _bone_findings(anatomy, driver, files)
     findings += (*driver.findings, *_frame_findings(anatomy, driver, files))
     findings += outside_findings(further, anatomy)
@@ -229,16 +230,14 @@ def _bone_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tuple
             except RigError as error:
                 raise files.named("drive.joints", error) from None
             return joint_findings(anatomy, joints, subject=subject)
-        case OnTransforms(transforms=transforms):
-            try:
-                transforms.check_bones(anatomy)
-            except InputError as error:
-                raise files.named("drive.transforms", error) from None
+        case OnTransforms(motions=motions) | OnFits(motions=motions):
             said, code = "have no transform", "bone-without-transform"
-            return still_findings(anatomy, transforms.bones(), subject=subject, said=said, code=code)
-        case OnFits(motions=motions):
-            said, code = "own no landmark", "bone-without-landmarks"
-            return still_findings(anatomy, tuple(motions.final), subject=subject, said=said, code=code)
+            if isinstance(driver, OnFits):
+                said, code = "own no landmark", "bone-without-landmarks"
+            found = still_findings(anatomy, tuple(motions.final), subject=subject, said=said, code=code)
+            if isinstance(motions, ChainMotions):
+                found += chain_findings(motions, subject=subject)
+            return found
         case Pairs() | OnSkeleton():
             return ()
 

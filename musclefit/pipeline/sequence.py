@@ -86,7 +86,7 @@ class Stage:
         return cls(job, solid_anatomy(job.anatomy, progress=progress), muscle_sections(job.anatomy))
 
     def frame(self, pose: Pose, *, progress: Progress | None = None) -> Frame:
-        """The anatomy in a pose, made from rest along the joints, or along each bone's screw, alone.
+        """The anatomy in a pose, made from rest along the joints, or each bone's screw, alone.
 
         A pose that the bones cannot take, and one that the method cannot reach, is a frame without anatomy that says
         why; so the other frames of a motion go on.
@@ -151,7 +151,7 @@ def posed_job(job: Job, pose: Pose) -> Job:
     motions: BoneMotions
     if job.transforms is not None and isinstance(drive, TransformDrive):
         drive = replace(drive, time_s=pose.time_s)
-        motions = job.transforms.motions(drive)
+        motions = job.transforms.motions(drive, kind=job.rig.deformer.path)
     else:
         assert job.joints is not None
         assert isinstance(drive, JointDrive)

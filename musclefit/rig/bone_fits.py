@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,11 +117,6 @@ def fit_bones(handles: Handles, target: Points) -> tuple[BoneFit, ...]:
 def motions_of_fits(fits: Sequence[BoneFit]) -> ScrewMotions:
     """Every bone on the screw to where its landmarks take it."""
     return ScrewMotions({fit.bone: fit.motion for fit in fits})
-
-
-def carrying(motions: ScrewMotions, carriers: Mapping[str, str]) -> ScrewMotions:
-    """The same, and further bones (by name) that move with one of these."""
-    return ScrewMotions({**motions.final, **{bone: motions.final[by] for bone, by in carriers.items()}})
 
 
 def fit_findings(fits: Sequence[BoneFit]) -> tuple[Finding, ...]:

@@ -216,6 +216,16 @@ def check_handles(handles: Handles, path: Path, *, anatomy: Anatomy, stops: Sequ
     Two handles at one place, sent to one place or there at once at a keyframe, a bone that the anatomy does not have,
     handles far outside the anatomy, or handles so close together that they are likely in other units.
     """
+    check_owners(handles, anatomy)
+    _require_apart(handles, handles.source, said="stand at one place")
+    _require_apart(handles, path.position(1.0), said="are sent to one place")
+    for at in stops:
+        _require_apart(handles, path.position(at), said=f"are sent to one place at {at:g} of the way")
+    _require_near(handles, anatomy)
+
+
+def check_owners(handles: Handles, anatomy: Anatomy) -> None:
+    """Raise LandmarkError at a handle that belongs to a bone which the anatomy does not have."""
     bones = [tissue.name for tissue in anatomy.of_kind(TissueKind.BONE)]
     for name, owner in zip(handles.names, handles.owner, strict=True):
         if owner and owner not in bones:
@@ -223,11 +233,6 @@ def check_handles(handles: Handles, path: Path, *, anatomy: Anatomy, stops: Sequ
                 f"landmark {name!r} belongs to bone {owner!r}, which the anatomy does not have; "
                 f"{suggestion(owner, bones)}"
             )
-    _require_apart(handles, handles.source, said="stand at one place")
-    _require_apart(handles, path.position(1.0), said="are sent to one place")
-    for at in stops:
-        _require_apart(handles, path.position(at), said=f"are sent to one place at {at:g} of the way")
-    _require_near(handles, anatomy)
 
 
 def joint_findings(anatomy: Anatomy, joints: JointSystem, *, subject: str) -> tuple[Finding, ...]:

@@ -78,6 +78,7 @@ class PathKind(StrEnum):
     STRAIGHT = "straight"
     JOINTS = "joints"
     SCREWS = "screws"
+    CHAIN = "chain"
 
 
 class BoneLimit(StrEnum):
@@ -560,6 +561,12 @@ class Rig:
                 'or a [drive] of kind "joints"'
             )
         _require_path(self.drive, self.deformer.path)
+        rigid_landmarks = isinstance(self.drive, LandmarkDrive) and self.bones.rigid
+        if self.deformer.path is PathKind.CHAIN and not (isinstance(self.drive, TransformDrive) or rigid_landmarks):
+            raise RigError(
+                f'deformer.path: found "{PathKind.CHAIN}", but neither transforms nor landmarks of rigid bones drive '
+                f'this rig; write "{PathKind.JOINTS if isinstance(self.drive, JointDrive) else PathKind.STRAIGHT}"'
+            )
         moves_bones = isinstance(self.drive, JointDrive | TransformDrive) or self.bones.rigid
         if self.deformer.degrees_per_step < 360.0 and not moves_bones:
             raise RigError("deformer.degrees_per_step: has no effect where no bone turns; remove it, or use min_steps")
@@ -585,9 +592,9 @@ class Rig:
 
 
 def default_path(drive: Drive, bones: BoneSettings) -> PathKind:
-    """The path of a rig that names none: screws where transforms, or landmarks of rigid bones, say bones' motions."""
-    on_screws = isinstance(drive, TransformDrive) or (isinstance(drive, LandmarkDrive) and bones.rigid)
-    return PathKind.SCREWS if on_screws else PathKind.STRAIGHT
+    """The path of a rig that names none: a chain where transforms, or landmarks of rigid bones, say bones' motions."""
+    chained = isinstance(drive, TransformDrive) or (isinstance(drive, LandmarkDrive) and bones.rigid)
+    return PathKind.CHAIN if chained else PathKind.STRAIGHT
 
 
 def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:
@@ -597,7 +604,7 @@ def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:
             "bones.rigid: nothing says how bones move rigidly; use a [drive] of joints, of transforms, or of landmarks "
             "that name their bones, or keep bones from bending with bones.keep_rigid"
         )
-    path = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.SCREWS
+    path = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.CHAIN
     if (
         deformer.path is PathKind.STRAIGHT
         or deformer.step is not StepKind.CAYLEY

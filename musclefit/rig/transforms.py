@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +16,8 @@ from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points, frozen
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.rig.model import TransformDrive
+from musclefit.rig.chain import ChainMotions, carriers_of, some_of
+from musclefit.rig.model import PathKind, TransformDrive
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import ScrewMotions
 from musclefit.rig.section import suggestion
@@ -197,6 +198,8 @@ class BoneTransforms:
     frame : str
         "LPS" or "RAS" where the file says so, else "".
     findings : tuple of Finding
+    carriers : mapping of bone name to bone name
+        Whom each bone goes along with on the way (`musclefit.rig.chain`); empty where no anatomy is known.
 
     Raises
     ------
@@ -209,6 +212,7 @@ class BoneTransforms:
     timed: bool
     frame: str = ""
     findings: tuple[Finding, ...] = ()
+    carriers: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -310,8 +314,15 @@ class BoneTransforms:
         """The same, and further bones (by name) that move with one of these."""
         return replace(self, tracks={**self.tracks, **{bone: self.tracks[by] for bone, by in carriers.items()}})
 
-    def motions(self, drive: TransformDrive) -> ScrewMotions:
-        """Every bone on the screw from rest to its pose at the drive's time, the last where it names none.
+    def chained(self, anatomy: Anatomy) -> BoneTransforms:
+        """The same, with the bones jointed as the anatomy at rest and all poses say."""
+        poses = [self.at(float(time)) for time in self.times_s]
+        return replace(self, carriers=carriers_of(anatomy, some_of(poses)))
+
+    def motions(self, drive: TransformDrive, *, kind: PathKind) -> ScrewMotions | ChainMotions:
+        """The bones' way to their poses at the drive's time, the last where it names none.
+
+        On a chain each bone is on the screw against its carrier, else on its own from rest.
 
         Raises
         ------
@@ -320,7 +331,8 @@ class BoneTransforms:
         """
         if drive.time_s is not None:
             self.require_times()
-        return ScrewMotions(self.at(self.last_s if drive.time_s is None else drive.time_s))
+        final = self.at(self.last_s if drive.time_s is None else drive.time_s)
+        return ChainMotions(final, self.carriers) if kind is PathKind.CHAIN else ScrewMotions(final)
 
     def require_times(self) -> None:
         """Raise InputError where the file states no times."""

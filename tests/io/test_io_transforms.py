@@ -72,7 +72,7 @@ def test_all_layouts_say_the_same() -> None:
         assert found.bones() == ("radius",)
         assert not found.timed
         assert found.findings == ()
-        same(found.motions(TransformDrive("f")).at(1.0)["radius"])
+        same(found.motions(TransformDrive("f"), kind=PathKind.CHAIN).at(1.0)["radius"])
 
 
 def test_lengths_are_in_the_units_that_are_stated() -> None:
@@ -87,7 +87,7 @@ def test_lengths_are_in_the_units_that_are_stated() -> None:
         of_json({"bone": "radius", "quaternion_wxyz": WXYZ, "translation": metres}, units="m"),
         of_json({"bone": "radius", "quaternion_wxyz": WXYZ, "translation_m": metres}, units="cm"),
     ):
-        same(found.motions(TransformDrive("f")).at(1.0)["radius"])
+        same(found.motions(TransformDrive("f"), kind=PathKind.CHAIN).at(1.0)["radius"])
 
 
 def test_the_frame_of_a_file_is_known() -> None:
@@ -117,7 +117,7 @@ def test_what_is_written_is_read_back_to_the_last_digit_of_a_place(seed: int, ti
         for bone, motion in motions[time].items():
             same(found.at(time)[bone], motion)
     still = read(transforms_text(motions[times[0]]), "f.json")
-    same(still.motions(TransformDrive("f")).at(1.0)["radius"], motions[times[0]]["radius"])
+    same(still.motions(TransformDrive("f"), kind=PathKind.CHAIN).at(1.0)["radius"], motions[times[0]]["radius"])
 
 
 def test_the_examples_of_the_readme_are_read_as_they_stand() -> None:
@@ -277,7 +277,7 @@ def about_z(degrees: float) -> RigidMotion:
 
 def test_a_rig_of_transforms_becomes_a_job(rig: Path) -> None:
     job = read_rig(rig)
-    assert job.rig.deformer.path is PathKind.SCREWS
+    assert job.rig.deformer.path is PathKind.CHAIN
     assert job.joints is None
     assert job.findings == ()
     assert isinstance(job.path, BonePath)
@@ -341,9 +341,10 @@ def test_frames_of_transforms_and_anatomy_must_agree(rig: Path) -> None:
         ("drive.time_s=nan", r"drive.time_s: found nan; expected a finite"),
         ("drive.frames=1", r"drive.frames: found 1; expected at least 2, or 0 for the file's own times"),
         ("drive.landmarks_per_bone=0", r"drive.landmarks_per_bone: found 0"),
+        ("drive.carried.bone_distal=[]", r"drive.carried.bone_distal: is an empty list"),
         ("deformer.path=joints", r'deformer.path: found "joints", but no joint drives this rig'),
         ("drive.pose.elbow_deg=3", r'drive.pose: belongs to kind "joints", but the kind is "transforms"'),
-        ("bones.rigid=true", r'bones.rigid: bones move rigidly: write deformer.path = "screws", step = "cayley"'),
+        ("bones.rigid=true", r'bones.rigid: bones move rigidly: write deformer.path = "chain", step = "cayley"'),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(rig: Path, override: str, words: str) -> None:
@@ -394,7 +395,7 @@ def test_landmarks_of_rigid_bones_become_motions(tmp_path: Path) -> None:
     cells[5] = repr(float(cells[5]) + 0.6)  # one landmark of six is sent 0.6 mm off
     marks.write_text("\n".join([rows[0], ",".join(cells), *rows[2:], "free,,0,13,0,0,14,0"]) + "\n", encoding="utf-8")
     job = read_rig(path, overrides=RIGID)
-    assert job.rig.deformer.path is PathKind.SCREWS
+    assert job.rig.deformer.path is PathKind.CHAIN
     assert isinstance(job.path, RigidPath)
     assert job.motions is not None
     same(job.motions.at(1.0)["bone_distal"], about_z(25.0))

@@ -91,7 +91,7 @@ def test_rigid_bones_run_alike_by_every_drive(jobs: dict[str, Job], runs: dict[s
 
 def test_a_method_says_its_path(runs: dict[str, Retargeting]) -> None:
     assert runs["joints"].result.side.method.endswith("joints paths")
-    assert runs["transforms"].result.side.method.endswith("screws paths")
+    assert runs["transforms"].result.side.method.endswith("chain paths")
 
 
 def test_what_a_rigid_bone_cannot_reach_is_the_fits_residual_and_no_error_of_the_map(tmp_path: Path) -> None:

@@ -368,6 +368,16 @@ def test_values_of_overrides_are_judged_like_those_of_the_file(override: str, me
         parse_rig(changed, source="arm.toml")
 
 
+@pytest.mark.parametrize(("path", "words"), [("chain", 'write "joints"'), ("screws", ""), ("joints", "")])
+def test_joints_lead_along_themselves_and_not_along_a_chain(path: str, words: str) -> None:
+    table = rig_table(deformer__path=path)
+    if not words:
+        assert parse_rig(table, source="arm.toml").deformer.path.value == path
+        return
+    with pytest.raises(RigError, match=rf'arm.toml: deformer.path: found "chain", but neither transforms nor.*{words}'):
+        parse_rig(table, source="arm.toml")
+
+
 def test_an_override_inside_what_is_no_table_is_named() -> None:
     with pytest.raises(RigError, match=r"^arm.toml: --set drive.pose.elbow_deg=3: pose is not a table in the file"):
         apply_overrides(rig_table(drive__pose=4), ["drive.pose.elbow_deg=3"], source="arm.toml")

@@ -116,6 +116,11 @@ def write_tiny_rig(folder: Path) -> Path:
 
 def drive_by_joints(rig: Path) -> None:
     """Let joints drive a tiny rig in place of landmark pairs."""
+    drive_by(rig, JOINT_DRIVE.replace("[drive]", "").strip())
+
+
+def drive_by(rig: Path, keys: str) -> None:
+    """Give a tiny rig another ``[drive]``."""
     text = rig.read_text(encoding="utf-8")
     start, end = text.index("[drive]"), text.index("[deformer]")
-    rig.write_text(text[:start] + JOINT_DRIVE.lstrip() + "\n" + text[end:], encoding="utf-8")
+    rig.write_text(f"{text[:start]}[drive]\n{keys}\n\n{text[end:]}", encoding="utf-8")

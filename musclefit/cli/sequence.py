@@ -17,10 +17,10 @@ PASSED, FAILED = 0, 1
 
 
 def sequence(
-    rig: Annotated[str, Parameter(help="A rig file that joints drive, or the name of a built-in rig.")],
+    rig: Annotated[str, Parameter(help="A rig file that joints or transforms drive, or a built-in rig's name.")],
     motion: Annotated[
         Path | None,
-        Parameter(help="CSV of keyframes: time_s, <coordinate>_deg, ... Without it: motion.keyframes of the rig."),
+        Parameter(help="CSV of joints' keyframes: time_s, <coordinate>_deg, ... Without it: drive.motion of the rig."),
     ] = None,
     /,
     *,

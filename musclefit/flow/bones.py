@@ -21,7 +21,7 @@ from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.locks import BoneLocks, Stand
 from musclefit.flow.steppers import HandleStepper, StepMaker
-from musclefit.flow.steps import CayleyStep, Step
+from musclefit.flow.steps import CayleyStep
 from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.distances import nearest_places, smooth_normals
 from musclefit.geometry.meshes import TriMesh

@@ -556,4 +556,3 @@ def _write_shared(distances, squares, nearest, sees, fade, gap, values):
                 w *= 1.0 / (1.0 + free * free * squares[row, at])
                 w *= 1.0 - _smooth((d + nearest[row, at] - gap) / (0.6 * gap))
             values[row, at] = np.uint16(65535.0 * w)
-

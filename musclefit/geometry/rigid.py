@@ -68,6 +68,20 @@ class RigidMotion:
         """The motion that undoes this one."""
         return RigidMotion(self.rotation.T, -self.rotation.T @ self.translation)
 
+    @property
+    def turn_deg(self) -> float:
+        """The angle that it turns about its screw, from 0 to 180 degrees."""
+        return float(np.rad2deg(Rotation.from_matrix(self.rotation).magnitude()))
+
+    @property
+    def slide_mm(self) -> float:
+        """How far it goes along its screw, mm; the whole way where it does not turn."""
+        turn = Rotation.from_matrix(self.rotation).as_rotvec()
+        angle = float(np.linalg.norm(turn))
+        if angle < 1e-9:
+            return float(np.linalg.norm(self.translation))
+        return abs(float(self.translation @ turn)) / angle
+
     def fraction(self, t: float) -> RigidMotion:
         """The motion a fraction ``t`` along this one's screw: 0 is the identity, 1 is this motion.
 

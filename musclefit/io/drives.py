@@ -1,14 +1,15 @@
-"""Drives: takes a rig and the files that its drive names, gives handles and their way, or joints; knows no anatomy."""
+"""Drives: a rig and the files that its drive names in, handles and their way or bones' motions out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
@@ -17,8 +18,12 @@ from musclefit.io.lattices import read_displacements
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.surfaces import read_surface
 from musclefit.io.tables import parse_table
+from musclefit.io.transforms import parse_transforms
+from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
+from musclefit.rig.carried import carriers
+from musclefit.rig.chain import ChainMotions, carriers_of
 from musclefit.rig.handles import BoneMotions, Handles
-from musclefit.rig.job import cage_crossings, cage_handles
+from musclefit.rig.job import cage_crossings, cage_handles, check_owners
 from musclefit.rig.joints import JointSystem, parse_joints
 from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import (
@@ -30,10 +35,12 @@ from musclefit.rig.model import (
     PathKind,
     Rig,
     SkeletonDrive,
+    TransformDrive,
     Unit,
 )
-from musclefit.rig.paths import motions_of, skeleton_of
+from musclefit.rig.paths import ScrewMotions, motions_of, skeleton_of
 from musclefit.rig.skeleton import SkeletonPath
+from musclefit.rig.transforms import BoneTransforms
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +77,30 @@ class OnBones:
     frame: str = ""
 
 
-Driver = Pairs | OnBones | OnSkeleton
+@dataclass(frozen=True, eq=False, slots=True)
+class OnTransforms:
+    """A drive of transforms: landmarks from a file, or None to spread ``per_bone`` over each bone."""
+
+    motions: ScrewMotions | ChainMotions
+    transforms: BoneTransforms
+    landmarks: Handles | None
+    per_bone: int
+    findings: tuple[Finding, ...] = ()
+    frame: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OnFits:
+    """A drive of landmarks that move their bones rigidly: by the motions that fit best."""
+
+    handles: Handles
+    motions: ScrewMotions | ChainMotions
+    path: RigidPath
+    findings: tuple[Finding, ...]
+    frame: str = ""
+
+
+Driver = Pairs | OnFits | OnBones | OnTransforms | OnSkeleton
 """What a drive becomes before the anatomy is known."""
 
 
@@ -84,7 +114,10 @@ def read_driver(rig: Rig, files: NamedFiles) -> Driver:
     """
     match rig.drive:
         case LandmarkDrive():
-            return _read_landmark_pairs(rig.drive, files)
+            pairs = _read_landmark_pairs(rig.drive, files)
+            return _on_fits(pairs, files) if rig.bones.rigid else pairs
+        case TransformDrive():
+            return _read_transforms(rig.drive, files, kind=rig.deformer.path)
         case SkeletonDrive():
             return _read_skeleton(rig.drive, files)
         case CageDrive():
@@ -111,6 +144,84 @@ def _read_joint_drive(drive: JointDrive, files: NamedFiles, *, kind: PathKind) -
     table = _read_bone_landmarks(drive, files)
     landmarks = _handles(table)
     return OnBones(motions, joints, landmarks, drive.landmarks_per_bone, table.findings, table.coordinate_system)
+
+
+def _read_transforms(drive: TransformDrive, files: NamedFiles, *, kind: PathKind) -> OnTransforms:
+    data = files.read(Path(drive.transforms), key="drive.transforms")
+    key = "drive.transforms"
+    try:
+        transforms = parse_transforms(data, source=drive.transforms, units=drive.units)
+        key = "drive.reference_time_s"
+        if drive.reference_time_s is not None:
+            transforms = transforms.relative_to(drive.reference_time_s)
+        key = "drive.time_s"
+        motions = transforms.motions(drive, kind=kind)
+    except InputError as error:
+        raise files.named(key, error) from None
+    if not drive.landmarks:
+        return OnTransforms(motions, transforms, None, drive.landmarks_per_bone, transforms.findings, transforms.frame)
+    table = _read_bone_landmarks(drive, files)
+    frames = {frame for frame in (table.coordinate_system, transforms.frame) if frame}
+    if len(frames) == 2:
+        raise LandmarkError(
+            f"{files.rig}: drive.landmarks: {drive.landmarks} is in {table.coordinate_system}, but "
+            f"{drive.transforms} in {transforms.frame}: x and y have opposite signs; export both in one system"
+        )
+    findings = (*transforms.findings, *table.findings)
+    return OnTransforms(motions, transforms, _handles(table), drive.landmarks_per_bone, findings, "".join(frames))
+
+
+def on_anatomy(driver: Driver, rig: Rig, anatomy: Anatomy, files: NamedFiles) -> Driver:
+    """The driver with what only the anatomy tells: the bones that others carry, and which go along with which.
+
+    Raises
+    ------
+    InputError
+        What `carriers` and `BoneTransforms.check_bones` refuse.
+    """
+    drive, kind = rig.drive, rig.deformer.path
+    if isinstance(driver, OnTransforms) and isinstance(drive, TransformDrive):
+        transforms = driver.transforms
+        try:
+            transforms.check_bones(anatomy)
+        except InputError as error:
+            raise files.named("drive.transforms", error) from None
+        transforms = transforms.carrying(_carried(drive, anatomy, files, moving=transforms.bones()))
+        if kind is PathKind.CHAIN:
+            transforms = transforms.chained(anatomy)
+        return replace(driver, transforms=transforms, motions=transforms.motions(drive, kind=kind))
+    if isinstance(driver, OnFits) and isinstance(drive, LandmarkDrive):
+        try:
+            check_owners(driver.handles, anatomy)
+        except LandmarkError as error:
+            raise files.named("drive", error) from None
+        carried = _carried(drive, anatomy, files, moving=driver.motions.final)
+        final = {**driver.motions.final, **{bone: driver.motions.final[by] for bone, by in carried.items()}}
+        motions: ScrewMotions | ChainMotions = ScrewMotions(final)
+        if kind is PathKind.CHAIN:
+            motions = ChainMotions(final, carriers_of(anatomy, [final]))
+        return replace(driver, motions=motions, path=replace(driver.path, motions=motions))
+    return driver
+
+
+def _carried(
+    drive: LandmarkDrive | TransformDrive, anatomy: Anatomy, files: NamedFiles, *, moving: Collection[str]
+) -> Mapping[str, str]:
+    try:
+        return carriers(anatomy, drive.carried, moving=moving)
+    except RigError as error:
+        raise files.named("drive.carried", error) from None
+
+
+def _on_fits(pairs: Pairs, files: NamedFiles) -> OnFits:
+    """Pairs whose bones move rigidly, as their landmarks fit best."""
+    try:
+        fits = fit_bones(pairs.handles, pairs.target)
+    except LandmarkError as error:
+        raise files.named("drive", error) from None
+    motions = motions_of_fits(fits)
+    path = RigidPath(pairs.handles, pairs.target, motions)
+    return OnFits(pairs.handles, motions, path, (*pairs.findings, *fit_findings(fits)), pairs.frame)
 
 
 def _read_landmark_pairs(drive: LandmarkDrive, files: NamedFiles) -> Pairs:
@@ -165,11 +276,12 @@ def _prefixes(drive: LandmarkDrive | SkeletonDrive) -> tuple[str, str]:
     return (drive.source_prefix, drive.target_prefix) if isinstance(drive, LandmarkDrive) else ("", "target_")
 
 
-def _read_bone_landmarks(drive: JointDrive, files: NamedFiles) -> LandmarkTable:
+def _read_bone_landmarks(drive: JointDrive | TransformDrive, files: NamedFiles) -> LandmarkTable:
     table = _landmarks(drive.landmarks, files, key="drive.landmarks", drive=drive)
     if table.targets is not None:
+        said = "the joints" if isinstance(drive, JointDrive) else "the transforms"
         raise LandmarkError(
-            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but the joints say where landmarks "
+            f"{files.rig}: drive.landmarks: {drive.landmarks} has target columns, but {said} say where landmarks "
             'go; remove the columns, or use a drive of kind "landmarks"'
         )
     return table
@@ -216,11 +328,11 @@ def _read_lattice(drive: LatticeDrive, files: NamedFiles) -> Pairs:
 
 
 def _landmarks(
-    path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive | SkeletonDrive
+    path: str, files: NamedFiles, *, key: str, drive: LandmarkDrive | JointDrive | TransformDrive | SkeletonDrive
 ) -> LandmarkTable:
     files.read(Path(path), key=key)
     try:
-        if isinstance(drive, JointDrive):
+        if isinstance(drive, JointDrive | TransformDrive):
             return read_landmarks(Path(path), units=drive.units)
         prefixes = _prefixes(drive)
         return read_landmarks(Path(path), units=drive.units, source_prefix=prefixes[0], target_prefix=prefixes[1])

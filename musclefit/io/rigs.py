@@ -11,13 +11,23 @@ from pathlib import Path
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, RigError
-from musclefit.io.drives import Driver, OnBones, OnSkeleton, Pairs, read_driver
+from musclefit.io.drives import (
+    Driver,
+    OnBones,
+    OnFits,
+    OnSkeleton,
+    OnTransforms,
+    Pairs,
+    on_anatomy,
+    read_driver,
+)
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.io.surfaces import read_anatomy
 from musclefit.io.tables import parse_toml
 from musclefit.progress import Progress, Silent
+from musclefit.rig.chain import ChainMotions, chain_findings
 from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import (
@@ -38,10 +48,12 @@ from musclefit.rig.model import (
     LatticeDrive,
     Rig,
     SkeletonDrive,
+    TransformDrive,
 )
 from musclefit.rig.section import suggestion
 from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table import apply_overrides, parse_rig
+from musclefit.rig.transforms import still_findings
 
 __all__ = ["builtin_rig_path", "builtin_rigs", "find_rig", "read_rig"]
 
@@ -94,12 +106,9 @@ def read_rig(
     further = _read_further(rig, points, files)
     driver = read_driver(rig, files)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
-    motions, joints = None, None
-    if isinstance(driver, OnBones):
-        motions, joints = driver.motions, driver.joints
-        _require_bones(anatomy, driver, files)
-        findings += joint_findings(anatomy, joints, subject=rig_path.name)
-    findings += (*driver.findings, *_frame_findings(anatomy, driver.frame, files))
+    driver = on_anatomy(driver, rig, anatomy, files)
+    findings += _bone_findings(anatomy, driver, files)
+    findings += (*driver.findings, *_frame_findings(anatomy, driver, files))
     findings += outside_findings(further, anatomy)
     handles, handle_path = _driven(rig, anatomy, driver=driver, files=files)
     return Job(
@@ -108,15 +117,16 @@ def read_rig(
         findings=findings,
         handles=handles,
         path=handle_path,
-        motions=motions,
+        motions=None if isinstance(driver, Pairs | OnSkeleton) else driver.motions,
         hashes=files.hashes,
         name=rig_path.stem,
         source=str(rig_path),
-        joints=joints,
+        joints=driver.joints if isinstance(driver, OnBones) else None,
         lattice=driver.lattice if isinstance(driver, Pairs) else None,
         overrides=tuple(overrides),
         further=further,
         stops=_stops(rig.drive),
+        transforms=driver.transforms if isinstance(driver, OnTransforms) else None,
     )
 
 
@@ -153,6 +163,10 @@ def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
             landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
             motion = files.find(drive.motion, key="drive.motion") if drive.motion else ""
             return replace(drive, joints=joints, landmarks=landmarks, motion=motion)
+        case TransformDrive():
+            transforms = files.find(drive.transforms, key="drive.transforms")
+            landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
+            return replace(drive, transforms=transforms, landmarks=landmarks)
         case LatticeDrive():
             return replace(drive, displacements=files.find(drive.displacements, key="drive.displacements"))
         case LandmarkDrive() | CageDrive() | SkeletonDrive():
@@ -183,18 +197,19 @@ def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[A
     return read.anatomy, read.findings
 
 
-def _frame_findings(anatomy: Anatomy, frame: str, files: NamedFiles) -> tuple[Finding, ...]:
-    """Raise LandmarkError where landmarks and anatomy state different frames; a finding where only one states its."""
+def _frame_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tuple[Finding, ...]:
+    """Raise LandmarkError where drive and anatomy state different frames; a finding where only one states its."""
+    frame, what = driver.frame, "transforms" if isinstance(driver, OnTransforms) else "landmarks"
     stated = set(re.findall(r"\b(?:LPS|RAS)\b", anatomy.frame))
     if not frame or stated == {frame}:
         return ()
     if stated:
         raise LandmarkError(
-            f"{files.rig}: drive: the landmarks are in {frame}, but the anatomy's frame is {anatomy.frame!r}: x and y "
+            f"{files.rig}: drive: the {what} are in {frame}, but the anatomy's frame is {anatomy.frame!r}: x and y "
             "have opposite signs; export both in one coordinate system"
         )
     message = (
-        f"the landmarks are in {frame}, the anatomy's frame is {anatomy.frame!r}; they are taken to be one: state "
+        f"the {what} are in {frame}, the anatomy's frame is {anatomy.frame!r}; they are taken to be one: state "
         "anatomy.frame"
     )
     return (Finding(files.rig.name, "frame-not-stated", message),)
@@ -205,11 +220,26 @@ def _stops(drive: Drive) -> tuple[float, ...]:
     return tuple(key.at for key in drive.keyframes) if isinstance(drive, Keyed) else ()
 
 
-def _require_bones(anatomy: Anatomy, driver: OnBones, files: NamedFiles) -> None:
-    try:
-        require_bones(anatomy, driver.joints)
-    except RigError as error:
-        raise files.named("drive.joints", error) from None
+def _bone_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tuple[Finding, ...]:
+    """Which bones the drive leaves to the soft tissue; raise InputError where it moves one that is not there."""
+    subject = files.rig.name
+    match driver:
+        case OnBones(joints=joints):
+            try:
+                require_bones(anatomy, joints)
+            except RigError as error:
+                raise files.named("drive.joints", error) from None
+            return joint_findings(anatomy, joints, subject=subject)
+        case OnTransforms(motions=motions) | OnFits(motions=motions):
+            said, code = "have no transform", "bone-without-transform"
+            if isinstance(driver, OnFits):
+                said, code = "own no landmark", "bone-without-landmarks"
+            found = still_findings(anatomy, tuple(motions.final), subject=subject, said=said, code=code)
+            if isinstance(motions, ChainMotions):
+                found += chain_findings(motions, subject=subject)
+            return found
+        case Pairs() | OnSkeleton():
+            return ()
 
 
 def _driven(rig: Rig, anatomy: Anatomy, *, driver: Driver, files: NamedFiles) -> tuple[Handles, HandlePath]:
@@ -219,11 +249,14 @@ def _driven(rig: Rig, anatomy: Anatomy, *, driver: Driver, files: NamedFiles) ->
         match driver:
             case Pairs(handles=handles, target=target, keyframes=keyframes):
                 path = path_by_pairs(handles, target, kind=rig.deformer.path, keyframes=keyframes)
-            case OnSkeleton(handles=handles, path=path):
+            case OnSkeleton(handles=handles, path=path) | OnFits(handles=handles, path=path):
                 pass
             case OnBones(motions=motions, joints=joints, landmarks=landmarks, per_bone=per_bone):
                 handles = landmarks or bone_landmarks(anatomy, joints.bones(), per_bone=per_bone)
                 path = path_by_joints(handles, motions, kind=rig.deformer.path)
+            case OnTransforms(motions=motions, transforms=transforms, landmarks=landmarks, per_bone=per_bone):
+                handles = landmarks or bone_landmarks(anatomy, transforms.bones(), per_bone=per_bone)
+                path = path_by_joints(handles, motions, kind=rig.deformer.path, by="transform")
         check_handles(handles, path, anatomy=anatomy, stops=_stops(rig.drive))
     except LandmarkError as error:
         raise files.named("drive", error) from None

@@ -25,14 +25,14 @@ class Rows:
     rows: tuple[tuple[int, tuple[str, ...]], ...]
 
     @classmethod
-    def of_csv(cls, text: str, path: Path) -> Rows:
-        """Read a table parted by comma, semicolon or tab, whose first line has the headings, ``name`` among them."""
+    def of_csv(cls, text: str, path: Path, *, key: str = "name") -> Rows:
+        """Read a table parted by comma, semicolon or tab, whose first line has the headings, ``key`` among them."""
         first = text.lstrip().splitlines()[0]
         delimiter = max(",;\t", key=first.count)
         lines = csv_lines(text, path, delimiter=delimiter)
         headings = tuple(cell.strip().lower() for cell in lines[0][1])
         table = cls(path, headings, tuple(lines[1:]))
-        table.require("name")
+        table.require(key)
         table.check_widths()
         return table
 

@@ -20,7 +20,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.geometry.arrays import Points
 from musclefit.io.series import posed_surfaces
 from musclefit.pipeline.retarget import settings_of
-from musclefit.pipeline.sequence import Frame, posed_job
+from musclefit.pipeline.sequence import Frame, at_rest, posed_job
 from musclefit.report.schema import side_to_json
 from musclefit.report.sequence import FrameSummary, summary_of
 from musclefit.rig.job import Job
@@ -145,7 +145,7 @@ def write_bytes_atomically(path: Path, data: bytes) -> Path:
 
 def _record(frame: Frame, *, job: Job, cpu_s: Mapping[str, float]) -> dict[str, Any]:
     pose = frame.pose
-    at_rest = not any(angle for _, angle in pose.degrees) and frame.anatomy is not None
+    rests = at_rest(job, pose) and frame.anatomy is not None
     return {
         "key": frame_key(job, pose),
         "number": pose.number,
@@ -154,7 +154,7 @@ def _record(frame: Frame, *, job: Job, cpu_s: Mapping[str, float]) -> dict[str, 
         "outcome": "made" if frame.anatomy is not None else "refused" if frame.collision is not None else "failed",
         "problem": frame.problem,
         "collision": None if frame.collision is None else asdict(frame.collision),
-        "off_rest_mm": rest_distance(frame.anatomy, job.anatomy) if at_rest and frame.anatomy is not None else None,
+        "off_rest_mm": rest_distance(frame.anatomy, job.anatomy) if rests and frame.anatomy is not None else None,
         "result": None if frame.side is None else side_to_json(frame.side, job.rig.limits),
         "muscles": [_finite(asdict(muscle)) for muscle in frame.muscles],
         "cpu_s": {name: round(seconds, 3) for name, seconds in cpu_s.items()},

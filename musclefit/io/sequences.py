@@ -7,7 +7,6 @@ import io
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -29,6 +28,7 @@ from musclefit.io.sequence_tasks import examine, make, prepare, read_between
 from musclefit.io.series import collection
 from musclefit.io.worker_pool import Pool
 from musclefit.pipeline.retarget import settings_of
+from musclefit.pipeline.sequence import check_pose, require_motion
 from musclefit.progress import Progress, Silent
 from musclefit.report.sequence import (
     MADE,
@@ -39,8 +39,9 @@ from musclefit.report.sequence import (
     sequence_to_json,
 )
 from musclefit.rig.job import Job
-from musclefit.rig.model import JointDrive
+from musclefit.rig.model import JointDrive, TransformDrive
 from musclefit.rig.motion import Interpolation, Motion, Pose
+from musclefit.rig.transforms import BoneTransforms
 
 PLAN, SERIES, MEASURES, REPORT_JSON = "sequence.json", "sequence.pvd", "muscles.csv", "report.json"
 
@@ -52,16 +53,19 @@ class SequencePlan:
     Parameters
     ----------
     job : Job
-        Driven by joints.
-    motion : Motion
+        Driven by joints or transforms.
+    motion : Motion or BoneTransforms
+        Keyframes of the joints, or the job's own transforms.
     frames : int
+        0 for transforms at their file's own times.
     interpolation : Interpolation
+        Of keyframes; transforms are joined by screws.
     """
 
     job: Job
-    motion: Motion
+    motion: Motion | BoneTransforms
     frames: int
-    interpolation: Interpolation
+    interpolation: Interpolation = Interpolation.CUBIC
 
     @property
     def poses(self) -> tuple[Pose, ...]:
@@ -70,20 +74,23 @@ class SequencePlan:
         Raises
         ------
         InputError
-            Fewer than two frames, or no joint drives the job.
+            Fewer than two frames, or neither joints nor transforms drive the job.
         RigError
             A coordinate that no joint has, or an angle beyond its limits.
         """
-        if self.job.joints is None:
-            raise InputError(f'{self.job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
+        require_motion(self.job)
+        if isinstance(self.motion, BoneTransforms):
+            return self.motion.frames(self.frames)
         poses = self.motion.frames(self.frames, interpolation=self.interpolation)
         for pose in poses:
-            self.job.joints.check_pose(pose.angles)
+            check_pose(self.job, pose)
         return poses
 
     @property
     def resampling(self) -> str:
         """How frames are made of the keyframes, in words."""
+        if isinstance(self.motion, BoneTransforms):
+            return self.motion.resampling_in_words(self.frames)
         return self.motion.resampling_in_words(self.frames, interpolation=self.interpolation)
 
 
@@ -120,11 +127,20 @@ def planned(
     Raises
     ------
     InputError
-        No joint drives the rig, or neither it nor the caller names a motion; or as `read_motion`.
+        Neither joints nor transforms drive the rig; joints whose motion neither it nor the caller names, or transforms
+        and another motion or interpolation; or as `read_motion`.
     """
+    require_motion(job)
     drive = job.rig.drive
-    if not isinstance(drive, JointDrive):
-        raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
+    if job.transforms is not None and isinstance(drive, TransformDrive):
+        if motion or interpolation:
+            what = f"the motion {motion}" if motion else f"the interpolation {interpolation}"
+            raise InputError(
+                f"{job.source}: {what} has no effect: the rig follows drive.transforms, along screws between their "
+                "times; leave it out, or set drive.transforms"
+            )
+        return SequencePlan(job, job.transforms, frames or drive.frames)
+    assert isinstance(drive, JointDrive)
     keyframes = motion or drive.motion
     if not keyframes:
         raise InputError(f"{job.source}: drive.motion names no keyframes; add it, or give a CSV after the rig")
@@ -259,9 +275,9 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
         "musclefit": musclefit.__version__,
         "rig": plan.job.source,
         "motion": plan.motion.source,
-        "motion_sha256": sha256(plan.motion.times_s.tobytes() + plan.motion.degrees.tobytes()).hexdigest(),
-        "interpolation": plan.interpolation.value,
-        "frames": plan.frames,
+        "motion_sha256": plan.motion.digest(),
+        "interpolation": "screw" if isinstance(plan.motion, BoneTransforms) else plan.interpolation.value,
+        "frames": len(plan.poses),
         "settings": settings,
         "inputs": dict(plan.job.hashes),
     }

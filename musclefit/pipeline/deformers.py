@@ -30,7 +30,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.distances import thinned
 from musclefit.geometry.meshes import TriMesh
 from musclefit.progress import Progress
-from musclefit.rig.handles import BonePath, Handles
+from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
 from musclefit.rig.model import (
     BackendKind,
@@ -53,6 +53,7 @@ SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
 import os
+
 LOCK_SPACING_MM = float(os.environ.get("LS", "0.5"))
 LOCK_FADE_MM = float(os.environ.get("LF", "6"))
 LOCK_GAP_MM = float(os.environ.get("LG", "3"))
@@ -158,7 +159,11 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
 def least_steps(job: Job) -> int:
     """Stretches that the path is cut into at least."""
     settings, drive = job.rig.deformer, job.rig.drive
-    turn = max((abs(angle) for _, angle in drive.pose), default=0.0) if isinstance(drive, JointDrive) else 0.0
+    turn = 0.0
+    if isinstance(drive, JointDrive):
+        turn = max((abs(angle) for _, angle in drive.pose), default=0.0)
+    elif job.motions is not None:
+        turn = max((motion.turn_deg for motion in job.motions.at(1.0).values()), default=0.0)
     # 1e-9: what rounding adds to a whole number of steps.
     return max(settings.min_steps, math.ceil(turn / settings.degrees_per_step - 1e-9))
 
@@ -247,7 +252,7 @@ def _baseline_settings(job: Job) -> DeformerSettings:
 
 def _bone_stepper(job: Job) -> BoneStepper:
     """The stepper that follows the bones."""
-    assert job.motions is not None  # a rig with rigid bones is driven by joints
+    assert job.motions is not None  # a rig with rigid bones says how they move
     bones = job.rig.bones
     groups = rigid_groups(
         job.anatomy,
@@ -256,10 +261,11 @@ def _bone_stepper(job: Job) -> BoneStepper:
         sampled_mm=SAMPLED_MM,
         contact_sampled_mm=CONTACT_SAMPLED * min(bones.lattices_mm),
     )
-    handles = _with_spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
+    spread = _spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
+    path = job.path if spread is None else JoinedPath(job.path, BonePath(spread, job.motions))
     settings = job.rig.deformer
     return BoneStepper(
-        HandleStepper(BonePath(handles, job.motions), backend_for(settings), HANDLE_STEPS[settings.step]),
+        HandleStepper(path, backend_for(settings), HANDLE_STEPS[settings.step]),
         groups=groups,
         motions=job.motions,
         exact=len(job.handles),
@@ -278,15 +284,14 @@ def _bone_surface(anatomy: Anatomy, bones: Sequence[str]) -> TriMesh:
     return TriMesh.together([anatomy[bone].surface for bone in bones])
 
 
-def _with_spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles:
-    """The rig's handles, and further ones on the exposed bones, none closer than the spacing to another."""
+def _spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles | None:
+    """Handles on the exposed bones, none closer than the spacing to another or to one of the rig's; None for none."""
     exposed = [group.exposed for group in groups]
     owner = np.concatenate([[group.bones[0]] * len(part) for group, part in zip(groups, exposed, strict=True)])
     candidates = np.vstack([handles.source, *exposed])
     chosen = thinned(candidates, spacing_mm=spacing_mm)
     more = chosen[chosen >= len(handles)]
-    return Handles(
-        (*handles.names, *(f"spread_{k}" for k in range(len(more)))),
-        np.vstack([handles.source, candidates[more]]),
-        (*handles.owner, *(str(owner[k - len(handles)]) for k in more)),
-    )
+    if not len(more):
+        return None
+    names, owners = (f"spread_{k}" for k in range(len(more))), (str(owner[k - len(handles)]) for k in more)
+    return Handles(tuple(names), candidates[more], tuple(owners))

@@ -330,7 +330,7 @@ class _Finisher:
             return _kept_field(self.job, deformed)
         if not deformed.groups:
             return None
-        assert self.job.motions is not None  # held bones are moved by joints
+        assert self.job.motions is not None  # a rig with rigid bones says how they move
         motions = _final_motions(self.job)
         between = surface_residuals(deformed.groups, deformed.deformation, motions)
         contact = contact_residuals(deformed.groups, deformed.deformation, self.job.motions)
@@ -409,7 +409,7 @@ def _held_bones(job: Job, deformed: Deformed) -> tuple[HeldBones, ...]:
 
 
 def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
-    """Where each held bone goes: by its joints, or as it is kept."""
+    """Where each held bone goes: as the drive moves it, or as it is kept."""
     kept = {bone.name: bone.motion for bone in deformed.kept}
     return {**_final_motions(job), **kept}
 
@@ -444,5 +444,5 @@ def _percent(bone: KeptBone) -> str:
 
 
 def _final_motions(job: Job) -> Mapping[str, RigidMotion]:
-    """Where the joints take the bones of the anatomy; nothing where no joint drives."""
+    """Where the drive takes the bones of the anatomy; nothing where it says no motion of theirs."""
     return {} if job.motions is None else job.motions.at(1.0)

@@ -14,9 +14,9 @@ from musclefit.pipeline.poses import bones_of, collision_in_words, collision_on_
 from musclefit.pipeline.retarget import outcome_of
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Side
+from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job, path_by_joints
-from musclefit.rig.joints import JointSystem
-from musclefit.rig.model import JointDrive
+from musclefit.rig.model import Drive, JointDrive, TransformDrive
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import motions_of
 from musclefit.validate.bones import BoneCollision, RigidBones
@@ -57,15 +57,13 @@ class Stage:
     Parameters
     ----------
     job : Job
-        Driven by joints; its own pose plays no part.
-    joints : JointSystem
+        Driven by joints or transforms; its own pose plays no part.
     rest : SolidAnatomy
     sections : mapping of muscle name to Sections
     bones : RigidBones
     """
 
     job: Job
-    joints: JointSystem
     rest: SolidAnatomy
     sections: Mapping[str, Sections]
     bones: RigidBones
@@ -77,18 +75,17 @@ class Stage:
         Raises
         ------
         InputError
-            No joint drives it.
+            Neither joints nor transforms drive it.
         MeshError
             A bone that is no solid, so that it cannot be tested for running into others.
         """
-        if job.joints is None:
-            raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
+        require_motion(job)
         progress = progress or Silent()
         rest = solid_anatomy(job.anatomy, progress=progress)
-        return cls(job, job.joints, rest, muscle_sections(job.anatomy), bones_of(job))
+        return cls(job, rest, muscle_sections(job.anatomy), bones_of(job))
 
     def frame(self, pose: Pose, *, progress: Progress | None = None) -> Frame:
-        """The anatomy in a pose, made from rest along the joints alone.
+        """The anatomy in a pose, made from rest along the joints, or each bone's screw, alone.
 
         A pose that the bones cannot take, and one that the method cannot reach, is a frame without anatomy that says
         why; so the other frames of a motion go on.
@@ -113,28 +110,54 @@ def frames(job: Job, poses: Sequence[Pose], *, progress: Progress | None = None)
     Raises
     ------
     InputError
-        No joint drives the job.
+        Neither joints nor transforms drive the job; or a time that the transforms do not have.
     RigError
         A pose of a joint that does not exist or beyond its limits; raised before the first frame.
     """
     stage = Stage.of(job, progress=progress)
     for pose in poses:
-        stage.joints.check_pose(pose.angles)
+        check_pose(job, pose)
     return (stage.frame(pose, progress=progress) for pose in poses)
+
+
+def require_motion(job: Job) -> None:
+    """Raise InputError unless the job can be sent to other poses."""
+    if job.joints is None and job.transforms is None:
+        raise InputError(
+            f'{job.source}: a motion turns joints or follows transforms; give the rig a [drive] of kind "joints" or '
+            '"transforms"'
+        )
+
+
+def check_pose(job: Job, pose: Pose) -> None:
+    """Raise RigError or InputError where the job's joints refuse the pose, or its transforms do not have its time."""
+    if job.joints is not None:
+        job.joints.check_pose(pose.angles)
+    elif job.transforms is not None:
+        job.transforms.at(pose.time_s)
 
 
 def posed_job(job: Job, pose: Pose) -> Job:
     """The same job sent to another pose; keyframes on the way to the rig's own pose are left out.
 
+    Joints go to the pose's angles, transforms to those of its time.
+
     Raises
     ------
     InputError
-        No joint drives it, or the pose is none of its joints'.
+        Neither joints nor transforms drive it, or the pose is none of its joints', or the time none of its bones'.
     """
-    if job.joints is None or not isinstance(job.rig.drive, JointDrive):
-        raise InputError(f'{job.source}: a motion turns joints; give the rig a [drive] of kind "joints"')
-    drive = replace(job.rig.drive, pose=pose.degrees, keyframes=())
-    motions = motions_of(drive, job.joints, kind=job.rig.deformer.path)
+    require_motion(job)
+    drive: Drive = job.rig.drive
+    motions: BoneMotions
+    if job.transforms is not None and isinstance(drive, TransformDrive):
+        drive = replace(drive, time_s=pose.time_s)
+        motions = job.transforms.motions(drive, kind=job.rig.deformer.path)
+    else:
+        assert job.joints is not None
+        assert isinstance(drive, JointDrive)
+        drive = replace(drive, pose=pose.degrees, keyframes=())
+        motions = motions_of(drive, job.joints, kind=job.rig.deformer.path)
     return replace(
         job,
         rig=replace(job.rig, drive=drive),
@@ -142,6 +165,14 @@ def posed_job(job: Job, pose: Pose) -> Job:
         path=path_by_joints(job.handles, motions, kind=job.rig.deformer.path),
         stops=(),
     )
+
+
+def at_rest(job: Job, pose: Pose) -> bool:
+    """Whether a pose is the one that the anatomy rests in."""
+    if pose.degrees or job.transforms is None:
+        return not any(angle for _, angle in pose.degrees)
+    motions = job.transforms.at(pose.time_s).values()
+    return all((m.rotation == np.eye(3)).all() and not m.translation.any() for m in motions)
 
 
 def given_triangles(rest: Anatomy, deformed: Anatomy) -> Anatomy:

@@ -88,6 +88,18 @@ class BoneMotions(Protocol):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class JoinedPath:
+    """The handles of one path, then those of another."""
+
+    first: Path
+    second: Path
+
+    def position(self, t: float) -> Points:
+        """(m, n) handle positions at ``t``, mm."""
+        return np.concatenate([self.first.position(t), self.second.position(t)])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class BonePath:
     """Every handle is carried by the bone that owns it."""
 

@@ -21,6 +21,7 @@ from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.model import PathKind, Rig
 from musclefit.rig.paths import KeyframePath, ScrewPath
 from musclefit.rig.section import suggestion
+from musclefit.rig.transforms import BoneTransforms, still_findings
 
 SAME_PLACE_MM = 1e-6
 """Handles closer than this are one place: no field can tell them apart at the default landmark limit."""
@@ -66,7 +67,7 @@ class Job:
     path : Path
         From ``handles.source`` at 0 to the destinations at 1.
     motions : BoneMotions or None
-        The rigid motion of every bone; None where no joint drives.
+        The rigid motion of every bone; None where neither joints, transforms nor landmarks of rigid bones drive.
     hashes : mapping of file to SHA-256
         Of every file that was read.
     name : str
@@ -84,6 +85,8 @@ class Job:
         Files whose points go where the map takes them.
     stops : tuple of float
         Moments of the path's keyframes, which no step passes over.
+    transforms : BoneTransforms or None
+        For other times of the same bones; None where no transforms drive.
     """
 
     rig: Rig
@@ -100,6 +103,7 @@ class Job:
     lattice: ControlLattice | None = None
     further: tuple[FurtherPoints, ...] = ()
     stops: tuple[float, ...] = ()
+    transforms: BoneTransforms | None = None
 
 
 def path_by_pairs(
@@ -135,22 +139,23 @@ def path_by_pairs(
     return KeyframePath(moments, np.stack([handles.source, *(places for _, places in keyframes), target]))
 
 
-def path_by_joints(handles: Handles, motions: BoneMotions, *, kind: PathKind) -> Path:
+def path_by_joints(handles: Handles, motions: BoneMotions, *, kind: PathKind, by: str = "joint") -> Path:
     """The handles on their bones: carried all the way, or straight to where the pose puts them (``straight``).
+
+    ``by`` is what moves the bones, for messages.
 
     Raises
     ------
     LandmarkError
-        A handle without a bone, or on one that no joint knows.
+        A handle without a bone, or on one that has no motion.
     """
     known = motions.at(0.0)
     for name, owner in zip(handles.names, handles.owner, strict=True):
         if not owner:
-            raise LandmarkError(f"landmark {name!r} names no bone; joints move bones, so give it one (column bone)")
+            raise LandmarkError(f"landmark {name!r} names no bone; {by}s move bones, so give it one (column bone)")
         if owner not in known:
             raise LandmarkError(
-                f"landmark {name!r} belongs to bone {owner!r}, which no joint moves or fixes; "
-                f"{suggestion(owner, known)}"
+                f"landmark {name!r} belongs to bone {owner!r}, which no {by} moves or fixes; {suggestion(owner, known)}"
             )
     carried = BonePath(handles, motions)
     return StraightPath(handles.source, carried.position(1.0)) if kind is PathKind.STRAIGHT else carried
@@ -211,13 +216,7 @@ def check_handles(handles: Handles, path: Path, *, anatomy: Anatomy, stops: Sequ
     Two handles at one place, sent to one place or there at once at a keyframe, a bone that the anatomy does not have,
     handles far outside the anatomy, or handles so close together that they are likely in other units.
     """
-    bones = [tissue.name for tissue in anatomy.of_kind(TissueKind.BONE)]
-    for name, owner in zip(handles.names, handles.owner, strict=True):
-        if owner and owner not in bones:
-            raise LandmarkError(
-                f"landmark {name!r} belongs to bone {owner!r}, which the anatomy does not have; "
-                f"{suggestion(owner, bones)}"
-            )
+    check_owners(handles, anatomy)
     _require_apart(handles, handles.source, said="stand at one place")
     _require_apart(handles, path.position(1.0), said="are sent to one place")
     for at in stops:
@@ -225,14 +224,26 @@ def check_handles(handles: Handles, path: Path, *, anatomy: Anatomy, stops: Sequ
     _require_near(handles, anatomy)
 
 
+def check_owners(handles: Handles, anatomy: Anatomy) -> None:
+    """Raise LandmarkError at a handle that belongs to a bone which the anatomy does not have."""
+    bones = [tissue.name for tissue in anatomy.of_kind(TissueKind.BONE)]
+    for name, owner in zip(handles.names, handles.owner, strict=True):
+        if owner and owner not in bones:
+            raise LandmarkError(
+                f"landmark {name!r} belongs to bone {owner!r}, which the anatomy does not have; "
+                f"{suggestion(owner, bones)}"
+            )
+
+
 def joint_findings(anatomy: Anatomy, joints: JointSystem, *, subject: str) -> tuple[Finding, ...]:
     """One finding that names the bones of the anatomy that no joint fixes or moves, if there are any."""
-    known = set(joints.bones())
-    free = [t.name for t in anatomy.of_kind(TissueKind.BONE) if t.name not in known]
-    if not free:
-        return ()
-    message = f"{len(free)} bones are neither fixed nor moved by a joint and follow the soft tissue: {', '.join(free)}"
-    return (Finding(subject, "bone-without-joint", message),)
+    return still_findings(
+        anatomy,
+        joints.bones(),
+        subject=subject,
+        said="are neither fixed nor moved by a joint",
+        code="bone-without-joint",
+    )
 
 
 def require_bones(anatomy: Anatomy, joints: JointSystem) -> None:

@@ -78,6 +78,7 @@ class PathKind(StrEnum):
     STRAIGHT = "straight"
     JOINTS = "joints"
     SCREWS = "screws"
+    CHAIN = "chain"
 
 
 class BoneLimit(StrEnum):
@@ -129,6 +130,7 @@ class LandmarkDrive:
 
     ``units`` is the length unit of files that state none. The columns of positions and of targets start with
     ``source_prefix`` and ``target_prefix``: with "child_" and "adult_" they are ``child_x_mm`` and ``adult_x_mm``.
+    Where bones are rigid, ``carried`` holds bones with those (or shell-style patterns for them) that move with them.
     """
 
     source: str
@@ -136,6 +138,7 @@ class LandmarkDrive:
     units: Unit = Unit.MILLIMETRE
     source_prefix: str = ""
     target_prefix: str = "target_"
+    carried: tuple[tuple[str, tuple[str, ...]], ...] = ()
     keyframes: tuple[PlaceKey, ...] = ()
 
     def __post_init__(self) -> None:
@@ -175,6 +178,41 @@ class JointDrive:
         for joint, degrees in self.pose:
             if not math.isfinite(degrees):
                 raise RigError(f"drive.pose.{joint}_deg: found {degrees}; expected a finite angle in degrees")
+        _at_least_one("drive.landmarks_per_bone", self.landmarks_per_bone)
+
+
+@dataclass(frozen=True, slots=True)
+class TransformDrive:
+    """One rigid transform per bone and time, from rest to the pose (`musclefit.rig.transforms`).
+
+    ``time_s`` is the time of the pose, the last where it is None. With ``reference_time_s`` the anatomy rests where
+    the bones are at that time, and the motions start from there. ``units`` is the length unit of files that state none.
+    ``carried`` holds bones with those (or shell-style patterns for them) that move with them. Handles are the
+    ``landmarks`` of a file, or ("") ``landmarks_per_bone`` spread over each bone. A sequence has ``frames`` poses
+    evenly spaced in time, or (0) those of the file.
+
+    Raises
+    ------
+    RigError
+        One frame or fewer than none, a time that is not finite, or fewer than one landmark per bone.
+    """
+
+    transforms: str
+    time_s: float | None = None
+    reference_time_s: float | None = None
+    units: Unit = Unit.MILLIMETRE
+    carried: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    landmarks: str = ""
+    landmarks_per_bone: int = 8
+    frames: int = 0
+
+    def __post_init__(self) -> None:
+        if self.frames < 0 or self.frames == 1:
+            raise RigError(f"drive.frames: found {self.frames}; expected at least 2, or 0 for the file's own times")
+        for key in ("time_s", "reference_time_s"):
+            value = getattr(self, key)
+            if value is not None and not math.isfinite(value):
+                raise RigError(f"drive.{key}: found {value}; expected a finite time in seconds")
         _at_least_one("drive.landmarks_per_bone", self.landmarks_per_bone)
 
 
@@ -253,7 +291,7 @@ class LatticeDrive:
 Keyed = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive
 """Drives that can go through keyframes."""
 
-Drive = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive | LatticeDrive
+Drive = LandmarkDrive | JointDrive | TransformDrive | CageDrive | SkeletonDrive | LatticeDrive
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +389,7 @@ class BoneSettings:
         _at_least_one("bones.iterations", self.iterations)
         if self.rigid and (self.keep_rigid or self.keep_similar):
             raise RigError(
-                "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones by joints; "
+                "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones already; "
                 "remove them"
             )
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
@@ -537,8 +575,15 @@ class Rig:
                 'or a [drive] of kind "joints"'
             )
         _require_path(self.drive, self.deformer.path)
-        if self.deformer.degrees_per_step < 360.0 and not isinstance(self.drive, JointDrive):
-            raise RigError("deformer.degrees_per_step: has no effect where no joint turns; remove it, or use min_steps")
+        rigid_landmarks = isinstance(self.drive, LandmarkDrive) and self.bones.rigid
+        if self.deformer.path is PathKind.CHAIN and not (isinstance(self.drive, TransformDrive) or rigid_landmarks):
+            raise RigError(
+                f'deformer.path: found "{PathKind.CHAIN}", but neither transforms nor landmarks of rigid bones drive '
+                f'this rig; write "{PathKind.JOINTS if isinstance(self.drive, JointDrive) else PathKind.STRAIGHT}"'
+            )
+        moves_bones = isinstance(self.drive, JointDrive | TransformDrive) or self.bones.rigid
+        if self.deformer.degrees_per_step < 360.0 and not moves_bones:
+            raise RigError("deformer.degrees_per_step: has no effect where no bone turns; remove it, or use min_steps")
         if self.bones.rigid and self.deformer.smoothing:
             raise RigError("deformer.smoothing: rigid bones are met exactly; remove it, or write bones.rigid = false")
         if self.deformer.backend is BackendKind.LATTICE and (
@@ -551,16 +596,38 @@ class Rig:
                 f'of kind "lattice", step "{StepKind.EXPLICIT}" and step_rule "{StepRule.ROW_NORM}"; else write '
                 f'"{BackendKind.FFD}" or "{BackendKind.RBF}"'
             )
-        if self.bones.rigid and (
-            not isinstance(self.drive, JointDrive)
-            or self.deformer.path is PathKind.STRAIGHT
-            or self.deformer.step is not StepKind.CAYLEY
-            or self.deformer.tested_at is not TestedAt.ALL_POINTS
-        ):
+        if isinstance(self.drive, LandmarkDrive) and self.drive.carried and not self.bones.rigid:
             raise RigError(
-                f'bones.rigid: joints move bones rigidly: write deformer.path = "{PathKind.JOINTS}", '
-                f'step = "{StepKind.CAYLEY}" and tested_at = "{TestedAt.ALL_POINTS}", or bones.rigid = false'
+                "drive.carried: has no effect where landmarks move no rigid bone; remove it, or write "
+                "bones.rigid = true"
             )
+        if self.bones.rigid:
+            _require_rigid_bones(self.drive, self.deformer)
+
+
+def default_path(drive: Drive, bones: BoneSettings) -> PathKind:
+    """The path of a rig that names none: a chain where transforms, or landmarks of rigid bones, say bones' motions."""
+    chained = isinstance(drive, TransformDrive) or (isinstance(drive, LandmarkDrive) and bones.rigid)
+    return PathKind.CHAIN if chained else PathKind.STRAIGHT
+
+
+def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:
+    """Raise RigError unless the drive says rigid motions of bones and the deformer can follow them."""
+    if not isinstance(drive, JointDrive | TransformDrive | LandmarkDrive):
+        raise RigError(
+            "bones.rigid: nothing says how bones move rigidly; use a [drive] of joints, of transforms, or of landmarks "
+            "that name their bones, or keep bones from bending with bones.keep_rigid"
+        )
+    path = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.CHAIN
+    if (
+        deformer.path is PathKind.STRAIGHT
+        or deformer.step is not StepKind.CAYLEY
+        or deformer.tested_at is not TestedAt.ALL_POINTS
+    ):
+        raise RigError(
+            f'bones.rigid: bones move rigidly: write deformer.path = "{path}", step = "{StepKind.CAYLEY}" and '
+            f'tested_at = "{TestedAt.ALL_POINTS}", or bones.rigid = false'
+        )
 
 
 def _at_least_one(key: str, value: int) -> None:
@@ -572,8 +639,10 @@ def _require_path(drive: Drive, path: PathKind) -> None:
     """Raise RigError where the drive has no such path, or keyframes that the path would not go through."""
     if isinstance(drive, SkeletonDrive) and path is not PathKind.STRAIGHT:
         raise RigError('deformer.path: has no effect on a drive of kind "skeleton", which bends; remove it')
-    if path is PathKind.SCREWS and not isinstance(drive, JointDrive | LandmarkDrive):
-        raise RigError('deformer.path: only joints and landmarks know bones that could go on screws; write "straight"')
+    if path is PathKind.SCREWS and not isinstance(drive, JointDrive | LandmarkDrive | TransformDrive):
+        raise RigError(
+            'deformer.path: only joints, transforms and landmarks know bones that could go on screws; write "straight"'
+        )
     meets = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.STRAIGHT
     if isinstance(drive, Keyed) and drive.keyframes and path is not meets:
         raise RigError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from hashlib import sha256
 from itertools import pairwise
 
 import numpy as np
@@ -35,6 +36,7 @@ class Pose:
         From 0.
     time_s : float
     degrees : tuple of (coordinate, angle in degrees)
+        Of joints; empty where the time alone says the pose.
     """
 
     number: int
@@ -49,7 +51,8 @@ class Pose:
     @property
     def said(self) -> str:
         """The pose in words: ``0.45 s (knee 60 deg, ankle 20 deg)``."""
-        return f"{self.time_s:.4g} s ({', '.join(f'{name} {angle:.4g} deg' for name, angle in self.degrees)})"
+        angles = ", ".join(f"{name} {angle:.4g} deg" for name, angle in self.degrees)
+        return f"{self.time_s:.4g} s" + (f" ({angles})" if angles else "")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -133,6 +136,10 @@ class Motion:
             Pose(k, float(time), tuple(zip(self.coordinates, map(float, row), strict=True)))
             for k, (time, row) in enumerate(zip(times, angles, strict=True))
         )
+
+    def digest(self) -> str:
+        """SHA-256 of times and angles."""
+        return sha256(self.times_s.tobytes() + self.degrees.tobytes()).hexdigest()
 
     def resampling_in_words(self, count: int, *, interpolation: Interpolation) -> str:
         """How frames are made of the keyframes, for reports."""

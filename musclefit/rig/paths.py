@@ -20,6 +20,12 @@ FLAT_SHARE = 1e-6
 """Landmarks of a bone whose spread across their line is below this share of that along it leave its turn free."""
 
 
+def turn_left_free(places: Points) -> bool:
+    """Whether (k, 3) places of a rigid body leave a turn of it free: fewer than three, or all on one line."""
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return len(places) < 3 or bool(spread[1] <= FLAT_SHARE * spread[0])
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class KeyframePath:
     """Handles on straight lines from one keyframe to the next.
@@ -88,8 +94,7 @@ class ScrewPath:
         object.__setattr__(self, "target", frozen(self.target))
         for bone in self.bones():
             places = self.handles.source[self._of(bone)]
-            spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-            if len(places) < 3 or spread[1] <= FLAT_SHARE * spread[0]:
+            if turn_left_free(places):
                 raise LandmarkError(
                     f"the {len(places)} landmarks of bone {bone!r} leave its turn free, so it has no screw: give three "
                     'or more that are not on one line, or write deformer.path = "straight"'

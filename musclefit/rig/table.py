@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from enum import StrEnum
 from typing import Any, TypeVar, get_type_hints
 
@@ -29,11 +29,14 @@ from musclefit.rig.model import (
     LatticeDrive,
     Limits,
     MeshSettings,
+    PathKind,
     Rig,
     SkeletonDrive,
     StepKind,
     SurfaceSettings,
     TetSettings,
+    TransformDrive,
+    default_path,
 )
 from musclefit.rig.section import Section, suggestion
 
@@ -42,6 +45,7 @@ Record = TypeVar(
     AnatomySource,
     LandmarkDrive,
     JointDrive,
+    TransformDrive,
     CageDrive,
     LatticeDrive,
     SkeletonDrive,
@@ -62,6 +66,7 @@ class DriveKind(StrEnum):
 
     LANDMARKS = "landmarks"
     JOINTS = "joints"
+    TRANSFORMS = "transforms"
     CAGE = "cage"
     LATTICE = "lattice"
     SKELETON = "skeleton"
@@ -70,6 +75,7 @@ class DriveKind(StrEnum):
 DRIVES: Mapping[DriveKind, type[Drive]] = {
     DriveKind.LANDMARKS: LandmarkDrive,
     DriveKind.JOINTS: JointDrive,
+    DriveKind.TRANSFORMS: TransformDrive,
     DriveKind.CAGE: CageDrive,
     DriveKind.LATTICE: LatticeDrive,
     DriveKind.SKELETON: SkeletonDrive,
@@ -91,7 +97,7 @@ _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
 }
 """Keys of the deformer that a backend has no use for."""
 
-_OPEN = ("anatomy.kinds", "drive.pose", "tets.edge_length_mm", "tets.envelope_mm")
+_OPEN = ("anatomy.kinds", "drive.pose", "drive.carried", "tets.edge_length_mm", "tets.envelope_mm")
 """Tables whose keys the user chooses."""
 
 
@@ -124,8 +130,8 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     title = root.text("title")
     anatomy = _anatomy(root.section("anatomy"))
     drive = _drive(root.section("drive"))
-    deformer = _deformer(_optional(root, "deformer"))
     bones = _record(BoneSettings, _optional(root, "bones"))
+    deformer = _deformer(_optional(root, "deformer"), path=default_path(drive, bones))
     if deformer.step is StepKind.EXPLICIT and not (bones.keep_rigid or bones.keep_similar):
         section = _optional(root, "deformer")
         if "margin_floor" in section:
@@ -231,9 +237,11 @@ def _drive(section: Section) -> Drive:
             return _record(LatticeDrive, section, besides=("kind",))
         case DriveKind.SKELETON:
             return _record(SkeletonDrive, section, besides=("kind",))
+        case DriveKind.TRANSFORMS:
+            _refuse_two_ways_to_landmarks(section)
+            return _record(TransformDrive, section, besides=("kind",))
         case DriveKind.JOINTS:
-            if "landmarks" in section and "landmarks_per_bone" in section:
-                raise section.error("landmarks_per_bone", "has no effect beside drive.landmarks; remove one of the two")
+            _refuse_two_ways_to_landmarks(section)
             if "units" in section and "landmarks" not in section:
                 raise section.error(
                     "units", "is the unit of drive.landmarks, which is not given (the joints state theirs); remove it"
@@ -241,8 +249,16 @@ def _drive(section: Section) -> Drive:
             return _record(JointDrive, section, besides=("kind",))
 
 
-def _deformer(section: Section) -> DeformerSettings:
+def _refuse_two_ways_to_landmarks(section: Section) -> None:
+    if "landmarks" in section and "landmarks_per_bone" in section:
+        raise section.error("landmarks_per_bone", "has no effect beside drive.landmarks; remove one of the two")
+
+
+def _deformer(section: Section, *, path: PathKind) -> DeformerSettings:
+    """The settings; a section that names no path has ``path``."""
     settings = _record(DeformerSettings, section)
+    if "path" not in section:
+        settings = replace(settings, path=path)
     for key in _IDLE_KEYS[settings.backend]:
         if key in section:
             raise section.error(key, f'has no effect on backend "{settings.backend}"; remove it')
@@ -281,6 +297,9 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     if dotted == "anatomy.kinds":
         kinds = section.section(key)
         return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
+    if dotted == "drive.carried":
+        carried = section.section(key)
+        return tuple((carrier, _listed(carried, carrier)) for carrier in carried.table)
     if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
         lengths = section.section(key)
         return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
@@ -290,6 +309,8 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return section.wholes(key)
     if hint == tuple[float, ...]:
         return section.numbers(key)
+    if hint == float | None:
+        return section.number(key)
     if issubclass(hint, StrEnum):
         return section.choice(key, hint)
     readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tiny_rigs import TISSUES, drive_by_joints, landmark_rows, write_landmarks, write_tiny_rig
+from tiny_rigs import TISSUES, drive_by, drive_by_joints, landmark_rows, write_landmarks, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.geometry.meshes import TriMesh
@@ -558,6 +558,110 @@ def pose_in_radians(at: Place) -> Sequence[str]:
     drive_by_joints(at.rig)
     at.replace("elbow_deg", "elbow_rad")
     return at.run()
+
+
+# --- transforms, and landmarks of rigid bones
+
+_QUATERNIONS = "bone,time_s,qw,qx,qy,qz,x_mm,y_mm,z_mm\n"
+_MATRICES = "bone," + ",".join(f"m{i}{j}" for i in range(4) for j in range(4)) + "\n"
+_STILL = "bone_distal,0,1,0,0,0,0,0,0\n"
+
+
+def _with_transforms(at: Place, text: str, *more: str) -> Sequence[str]:
+    drive_by(at.rig, 'kind = "transforms"\ntransforms = "moved.csv"')
+    at.rig.with_name("moved.csv").write_text(text, encoding="utf-8")
+    return at.run(*more)
+
+
+@case("drive.transforms", "moved.csv", "does not exist")
+def missing_transforms(at: Place) -> Sequence[str]:
+    arguments = _with_transforms(at, "")
+    at.rig.with_name("moved.csv").unlink()
+    return arguments
+
+
+@case("drive.transforms", "moved.csv", "is empty", "m00 to m33")
+def empty_transforms(at: Place) -> Sequence[str]:
+    return _with_transforms(at, "")
+
+
+@case("drive.transforms", "line 2", "bone 'bone_distal'", "determinant -1: a mirror", "LPS and RAS")
+def transform_that_mirrors(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _MATRICES + "bone_distal,1,0,0,0,0,1,0,0,0,0,-1,0,0,0,0,1\n")
+
+
+@case("line 2", "'bone_distal'", "largest deviation from a rotation 0.02", "scales by 1.02", "expected at most 0.001")
+def transform_that_scales(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _MATRICES + "bone_distal,1.02,0,0,0,0,1.02,0,0,0,0,1.02,0,0,0,0,1\n")
+
+
+@case("line 2", "'bone_distal'", "largest deviation from a rotation 0.105", "it shears")
+def transform_that_shears(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _MATRICES + "bone_distal,1,0.2,0,0,0,1,0,0,0,0,1,0,0,0,0,1\n")
+
+
+@case("line 2", "last row", "column by column: transpose it")
+def transform_column_by_column(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _MATRICES + "bone_distal,1,0,0,0,0,1,0,0,0,0,1,0,5,6,7,1\n")
+
+
+@case("line 3", "'bone_distal' at 0.5 s", "quaternion's length is 1.1")
+def quaternion_of_another_length(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + _STILL + "bone_distal,0.5,1.1,0,0,0,0,0,0\n")
+
+
+@case("'bone_distal' at 0 s stands twice", "line 2 and line 3", "remove one")
+def transform_given_twice(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + _STILL + _STILL)
+
+
+@case("line 2", "x_mm is nan, not finite")
+def transform_that_is_not_finite(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + "bone_distal,0,1,0,0,0,nan,0,0\n")
+
+
+@case("'bone_distal' at 0 s", "translation holds 1e+300 mm")
+def huge_transform(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + "bone_distal,0,1,0,0,0,1e300,0,0\n")
+
+
+@case("drive.transforms", "'bone_distal' at 0 s is sent 9e+04 mm away", "wrong units (drive.units)")
+def transforms_in_other_units(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS.replace("_mm", "_m") + "bone_distal,0,1,0,0,0,90,0,0\n")
+
+
+@case("drive.transforms", "no bone 'bone_dital'", "did you mean 'bone_distal'?")
+def transform_of_an_unknown_bone(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + _STILL.replace("distal", "dital"))
+
+
+@case("drive.transforms", "'muscle_flexor' is of kind 'muscle'", "transforms move bones")
+def transform_of_a_muscle(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + _STILL.replace("bone_distal", "muscle_flexor"))
+
+
+@case("drive.time_s", "asked for 3 s", "known from 0 to 0 s")
+def time_that_the_transforms_do_not_have(at: Place) -> Sequence[str]:
+    return _with_transforms(at, _QUATERNIONS + _STILL, "--set", "drive.time_s=3")
+
+
+_RIGID = ("--set", "bones.rigid=true", "--set", "deformer.step=cayley")
+
+
+@case("drive: bones.rigid: the 2 landmarks of bone 'bone_distal'", "leave its turn free", "three or more")
+def rigid_bone_with_two_landmarks(at: Place) -> Sequence[str]:
+    write_landmarks(at.landmarks, landmark_rows()[:-4])
+    return at.run(*_RIGID)
+
+
+@case("drive: bones.rigid", "'bone_distal' are a mirror image", "(LPS or RAS)")
+def mirrored_landmarks(at: Place) -> Sequence[str]:
+    rows = landmark_rows()
+    rows[7][2:5] = ["40", "5", "9"]  # so that the bone's landmarks are not symmetric
+    for row in rows[7:]:
+        row[5:8] = [row[2], repr(-float(row[3])), row[4]]
+    write_landmarks(at.landmarks, rows)
+    return at.run(*_RIGID)
 
 
 # --- the command line itself

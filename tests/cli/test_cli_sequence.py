@@ -9,7 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 import trimesh
-from tiny_rigs import drive_by_joints, write_tiny_rig
+from tiny_rigs import drive_by, drive_by_joints, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.figures.rendering import rendering_problem
@@ -61,6 +61,27 @@ def test_bad_input_ends_with_2_and_a_message(rig: Path, tmp_path: Path, capsys: 
     assert main(["sequence", str(rig), str(rig.with_name("far.csv")), "-o", str(tmp_path / "out"), "--quiet"]) == 2
     assert "limits_deg" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_transforms_are_their_own_motion(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive_by(rig, 'kind = "transforms"\ntransforms = "moved.csv"\nlandmarks_per_bone = 6')
+    still = "".join(f"bone_{end},0,1,0,0,0,0,0,0\n" for end in ("proximal", "distal"))
+    turned = "bone_proximal,0.4,1,0,0,0,0,0,0\nbone_distal,0.4,0.9961947,0,0,0.0871557,0,0,0\n"
+    text = f"bone,time_s,qw,qx,qy,qz,x_mm,y_mm,z_mm\n{still}{turned}"
+    rig.with_name("moved.csv").write_text(text, encoding="utf-8")
+    out, more = tmp_path / "out", ("--set", "certificate.enabled=false", "--no-film")
+    assert main(["sequence", str(rig), "-o", str(out), "--workers", "1", *more]) == 0
+    said = capsys.readouterr().out
+    assert "transforms of 2 bones at 2 times, between them each bone on the screw" in said
+    assert "2 of 2 frames made" in said
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Joint coordinates" not in page
+    assert main(["sequence", str(rig), str(rig.with_name("bend.csv")), "-o", str(tmp_path / "new"), "--quiet"]) == 2
+    assert "has no effect: the rig follows drive.transforms" in capsys.readouterr().err
+    rig.with_name("moved.csv").write_text(text.replace(",time_s", "").replace(",0,1,", ",1,").replace(turned, ""))
+    assert main(["sequence", str(rig), "-o", str(tmp_path / "new"), "--quiet"]) == 2
+    assert "moved.csv: states no times, so there is one pose alone" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_joint_is_fitted_and_printed_as_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

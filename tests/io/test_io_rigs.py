@@ -573,7 +573,14 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
     section, _, name = key.rpartition(".")
     records: dict[str, list[Any]] = {
         "anatomy": [model.AnatomySource],
-        "drive": [model.LandmarkDrive, model.JointDrive, model.CageDrive, model.LatticeDrive, model.SkeletonDrive],
+        "drive": [
+            model.LandmarkDrive,
+            model.JointDrive,
+            model.TransformDrive,
+            model.CageDrive,
+            model.LatticeDrive,
+            model.SkeletonDrive,
+        ],
         "deformer": [model.DeformerSettings],
         "bones": [model.BoneSettings],
         "surfaces": [model.SurfaceSettings],
@@ -594,7 +601,9 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
 
 def _as_toml(name: str, value: Any) -> str:
     if value == ():
-        return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm") else "[]"
+        return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm", "carried") else "[]"
+    if value is None:
+        return "none"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):

@@ -144,7 +144,7 @@ WRONG = {
     ),
     "kind is a list": (
         rig_table(drive__kind=["joints"]),
-        'arm.toml: drive.kind: found the list .*expected one of "landmarks", "joints", "cage"',
+        'arm.toml: drive.kind: found the list .*expected one of "landmarks", "joints", "transforms", "cage"',
     ),
     "no joints": (rig_table(drive__joints=None), "arm.toml: drive.joints: is missing"),
     "no pose": (rig_table(drive__pose=None), "arm.toml: drive.pose: is missing"),
@@ -366,6 +366,16 @@ def test_values_of_overrides_are_judged_like_those_of_the_file(override: str, me
         return
     with pytest.raises(RigError, match=f"^{message}"):
         parse_rig(changed, source="arm.toml")
+
+
+@pytest.mark.parametrize(("path", "words"), [("chain", 'write "joints"'), ("screws", ""), ("joints", "")])
+def test_joints_lead_along_themselves_and_not_along_a_chain(path: str, words: str) -> None:
+    table = rig_table(deformer__path=path)
+    if not words:
+        assert parse_rig(table, source="arm.toml").deformer.path.value == path
+        return
+    with pytest.raises(RigError, match=rf'arm.toml: deformer.path: found "chain", but neither transforms nor.*{words}'):
+        parse_rig(table, source="arm.toml")
 
 
 def test_an_override_inside_what_is_no_table_is_named() -> None:

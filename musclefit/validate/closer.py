@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import Protocol
 
 from musclefit.anatomy.model import Anatomy
+from musclefit.errors import MusclefitError
 from musclefit.geometry.crossings import crossings_between
 from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.progress import Silent
@@ -41,6 +42,14 @@ class MeetingKind(StrEnum):
     LEAVES = "leaves"
     THROUGH = "passes through"
     UNSETTLED = "not settled"
+
+    @property
+    def fails(self) -> bool:
+        """Whether tissues pass through each other, or that could not be ruled out.
+
+        What enters or leaves is seen in a frame, and judged there.
+        """
+        return self in (MeetingKind.THROUGH, MeetingKind.UNSETTLED)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,7 +87,13 @@ class PosesBetween(Protocol):
         ...
 
     def refined(self, names: Names, moments: Sequence[float], *, fineness: int) -> Refined:
-        """Two tissues at fractions of the way, 0 and 1 included; the higher the fineness, the finer the triangles."""
+        """Two tissues at fractions of the way, 0 and 1 included; the higher the fineness, the finer the triangles.
+
+        Raises
+        ------
+        MusclefitError
+            A pose on the way cannot be made.
+        """
         ...
 
 
@@ -124,6 +139,35 @@ class _Seen:
         return tuple(volume > ROUNDING_MM3 for volume in self.introduced)
 
 
+def looked_at(passage: Passage, rest: Anatomy, poses: PosesBetween) -> Look:
+    """What a meeting of given triangles turns out to be; looked at closer where the frames do not tell.
+
+    Parameters
+    ----------
+    passage : Passage
+    rest : Anatomy
+        The given triangles at rest.
+    poses : PosesBetween
+
+    Returns
+    -------
+    Look
+        "touching at the start" where the tissues overlap in the first frame or at rest, or touch there and come to meet
+        nowhere else on the way: no pose on the way is made for these. What else touches at the start is looked at, and
+        fails only by an overlap in a pose.
+    """
+    names = (passage.a, passage.b)
+    if passage.overlap_before_mm3 > ROUNDING_MM3 or (passage.touching and not passage.further):
+        return Look(MeetingKind.TOUCHES, note="in the frame before")
+    if shared_volume(rest, *names) > ROUNDING_MM3:
+        return Look(MeetingKind.TOUCHES, note="overlapping at rest")
+    look = look_closer(names, poses)
+    at_rest = len(crossings_between(*(rest[name].surface for name in names))) > 0
+    if look.kind is MeetingKind.UNSETTLED and (passage.touching or at_rest):
+        return replace(look, kind=MeetingKind.TOUCHES, note=f"and {look.note}; no pose shows an overlap")
+    return look
+
+
 def look_closer(names: Names, poses: PosesBetween) -> Look:
     """Look at two tissues between two frames with finer triangles, at more and more poses on the way.
 
@@ -145,26 +189,39 @@ def look_closer(names: Names, poses: PosesBetween) -> Look:
     halved, those that begin or end with an overlap excepted.
     """
     moments: list[float] = [0.0, 0.5, 1.0]
-    if not poses.can_make(moments):
-        return Look(MeetingKind.UNSETTLED, note="no pose on the way may be made any more")
+    looked: tuple[Refined, _Seen] | None = None
+    reason = "no pose on the way may be made any more"
     for number in range(ROUNDS):
         fineness = min(number, FINEST)
-        refined = poses.refined(names, moments, fineness=fineness)
-        seen = _seen(names, refined)
-        if any(seen.overlaps):
-            if fineness == FINEST:
+        if poses.can_make(moments):
+            try:
+                refined = poses.refined(names, moments, fineness=fineness)
+            except MusclefitError as error:
+                reason = str(error)
+                break
+            seen = _seen(names, refined)
+            looked = refined, seen
+            if not any(seen.overlaps) and not any(seen.meets):
+                kind = MeetingKind.TOUCHES if seen.touching else MeetingKind.GRAZE
+                return _look(kind, refined, seen, note=_doubt(seen))
+            if any(seen.overlaps) and fineness == FINEST:
                 return _look(_confirmed(seen), refined, seen)
-        elif not any(seen.meets):
-            kind = MeetingKind.TOUCHES if seen.touching else MeetingKind.GRAZE
-            return _look(kind, refined, seen, note=_doubt(seen))
-        wanted = _halved(moments, seen)
-        if poses.can_make(wanted):
-            moments = wanted
-        elif fineness == FINEST:
+            reason = "triangles still meet on the way, from " + _in_words(moments, seen)
+            wanted = _halved(moments, seen)
+            if poses.can_make(wanted):
+                moments = wanted
+            elif fineness == FINEST:
+                break
+        else:
             break
-    left = [f"{a:.4g} to {b:.4g}" for (a, b), meets in zip(pairwise(moments), seen.meets, strict=False) if meets]
-    note = f"no pose shows an overlap, but triangles still meet on the way, from {', '.join(left)} of it"
-    return _look(MeetingKind.UNSETTLED, refined, seen, note=note)
+    if looked is None:
+        return Look(MeetingKind.UNSETTLED, note=reason)
+    return _look(MeetingKind.UNSETTLED, *looked, note=reason)
+
+
+def _in_words(moments: Sequence[float], seen: _Seen) -> str:
+    met = [f"{a:.4g} to {b:.4g}" for (a, b), meets in zip(pairwise(moments), seen.meets, strict=True) if meets]
+    return f"{', '.join(met)} of it" if met else "an overlap in a pose"
 
 
 def _halved(moments: Sequence[float], seen: _Seen) -> list[float]:
@@ -217,7 +274,9 @@ def _introduced(names: Names, rest: Anatomy, posed: Posed) -> float:
 
 
 def _doubt(seen: _Seen) -> str:
-    return "a surface is no solid: crossings were looked for, not volumes" if any(map(math.isnan, seen.introduced)) else ""
+    return (
+        "a surface is no solid: crossings were looked for, not volumes" if any(map(math.isnan, seen.introduced)) else ""
+    )
 
 
 def _look(kind: MeetingKind, refined: Refined, seen: _Seen, *, note: str = "") -> Look:

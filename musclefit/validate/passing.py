@@ -163,9 +163,7 @@ def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> Pa
     for (a, b), meeting in sorted(found.items(), key=lambda item: (item[1].at, item[0])):
         one, other = soup.names[a], soup.names[b]
         shared = [shared_volume(frame, one, other) for frame in (before, after)]
-        passages.append(
-            Passage(one, other, meeting.at, *shared, meeting.touching, meeting.further, meeting.place)
-        )
+        passages.append(Passage(one, other, meeting.at, *shared, meeting.touching, meeting.further, meeting.place))
     return PassageCheck(tuple(passages), examined)
 
 
@@ -235,9 +233,7 @@ def _neighbourhoods(soup: _Soup) -> Iterator[tuple[float, Float, Int]]:
             yield (number + 1) / len(shifts), shift, near
 
 
-def _meetings(
-    ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float
-) -> tuple[int, dict[tuple[int, int], _Meeting]]:
+def _meetings(ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> tuple[int, dict[tuple[int, int], _Meeting]]:
     """How many pairs of primitives of some triangles were examined, and which tissues among them meet."""
     all_together = _Examined(ipctk, soup, faces, shift)
     found: dict[tuple[int, int], _Meeting] = {}

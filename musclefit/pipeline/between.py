@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy
-from musclefit.errors import MusclefitError, NotConvergedError
+from musclefit.errors import MusclefitError
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.pipeline.poses import collision_in_words, collision_on_the_way
@@ -30,6 +30,10 @@ MAX_ROUNDS = 8
 
 MAX_TRIANGLES = 600_000
 """Two tissues are cut into no more triangles than this."""
+
+
+class PoseError(MusclefitError):
+    """Two tissues cannot be looked at in a pose on the way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +131,7 @@ class PosesOnTheWay:
             surface = with_short_edges(given[name].surface, longest_mm=longest)
             for _ in range(MAX_ROUNDS):
                 if len(surface.faces) > MAX_TRIANGLES // 2:
-                    raise NotConvergedError(
+                    raise PoseError(
                         f"{name} would need more than {MAX_TRIANGLES // 2} triangles to be looked at with edges of "
                         f"{longest:.3g} mm and a chord tolerance of {chord:.3g} mm"
                     )
@@ -143,7 +147,7 @@ class PosesOnTheWay:
                     break
                 surface = split_edges(surface, edges, bent)
             else:
-                raise NotConvergedError(
+                raise PoseError(
                     f"{name} is still bent by more than {chord:.3g} mm between vertices after {MAX_ROUNDS} halvings"
                 )
             tissues.append(replace(given[name], surface=surface))
@@ -166,8 +170,8 @@ class PosesOnTheWay:
         job = posed_job(self._stage.job, pose)
         collision = collision_on_the_way(job, self._stage.bones)
         if collision is not None:
-            raise NotConvergedError(f"the pose at {pose.said} is refused: {collision_in_words(job, collision)}")
+            raise PoseError(f"the pose at {pose.said} is refused: {collision_in_words(job, collision)}")
         made = deform_finely(job, progress=Silent()).deformed.deformation
         if made.status is not Status.CONVERGED:
-            raise NotConvergedError(f"the method does not reach the pose at {pose.said}: {made.status.value}")
+            raise PoseError(f"the method does not reach the pose at {pose.said}: {made.status.value}")
         return made

@@ -1,8 +1,8 @@
 """Do two tissues whose given triangles meet between frames really meet? Finer triangles at poses in between decide.
 
-Given triangles that move straight from frame to frame are coarse twice: in space, where the map bends them, and in time,
-where joints turn. So a meeting that is seen of them is looked at with triangles that are split where the map bends
-them, at poses on the way: each pose by volume (exact booleans), each stretch from one to the next by continuous
+Given triangles that move straight from frame to frame are coarse twice: in space, where the map bends them, and in
+time, where joints turn. So a meeting that is seen of them is looked at with triangles that are split where the map
+bends them, at poses on the way: each pose by volume (exact booleans), each stretch from one to the next by continuous
 collision detection. What is cleared that way was looked at, not proved.
 """
 
@@ -127,7 +127,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Two tissues on some triangles: overlap introduced in each pose, which stretches meet, which start with a touch."""
+    """Two tissues on some triangles: overlap introduced in each pose, which stretches meet, whether they touch first."""
 
     introduced: tuple[float, ...]
     meets: tuple[bool, ...]
@@ -186,7 +186,7 @@ def look_closer(names: Names, poses: PosesBetween) -> Look:
     Notes
     -----
     Between poses next to each other vertices move straight again; that is sampled evidence. Stretches that meet are
-    halved, those that begin or end with an overlap excepted.
+    halved where no pose shows an overlap; where one does, triangles are made finer.
     """
     moments: list[float] = [0.0, 0.5, 1.0]
     looked: tuple[Refined, _Seen] | None = None
@@ -225,12 +225,8 @@ def _in_words(moments: Sequence[float], seen: _Seen) -> str:
 
 
 def _halved(moments: Sequence[float], seen: _Seen) -> list[float]:
-    """The moments, and the middles of stretches that meet between two poses without overlap."""
-    more = [
-        0.5 * (moments[k] + moments[k + 1])
-        for k, meets in enumerate(seen.meets)
-        if meets and not (seen.overlaps[k] or seen.overlaps[k + 1])
-    ]
+    """The moments, and the middles of stretches that meet."""
+    more = [0.5 * (a + b) for (a, b), meets in zip(pairwise(moments), seen.meets, strict=True) if meets]
     return sorted({*moments, *more})
 
 
@@ -243,7 +239,10 @@ def _confirmed(seen: _Seen) -> MeetingKind:
 
 
 def _seen(names: Names, refined: Refined) -> _Seen:
+    """Stretches are examined only where no pose shows an overlap: that decides alone."""
     introduced = tuple(_introduced(names, refined.rest, posed) for posed in refined.posed)
+    if any(volume > ROUNDING_MM3 for volume in introduced):
+        return _Seen(introduced, (False,) * (len(introduced) - 1), False)
     stretches = [_meeting(a.anatomy, b.anatomy) for a, b in pairwise(refined.posed)]
     first = stretches[0]
     return _Seen(

@@ -1,4 +1,4 @@
-"""Do given triangles meet between two frames? Two anatomies -> a proof that none do, or pairs, times and places.
+"""Do given triangles meet between two frames? Two anatomies -> a proof that none do, or pairs and times.
 
 Between the frames every vertex moves straight and evenly. Whether triangles meet on the way is decided by ipctk's
 conservative advancement, which may see a touch where there is a hair's breadth between, but misses none. That given
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -51,8 +52,6 @@ class Passage:
         Triangles of the two touch or cross in the first frame already.
     further : bool
         Others than those, and those around them, come to meet on the way.
-    place_mm : tuple of float
-        Where they are first seen to meet, at that moment.
     """
 
     a: str
@@ -62,7 +61,6 @@ class Passage:
     overlap_after_mm3: float
     touching: bool = False
     further: bool = True
-    place_mm: tuple[float, ...] = ()
 
     @property
     def hidden(self) -> bool:
@@ -80,17 +78,16 @@ class PassageCheck:
 
 @dataclass(frozen=True, slots=True)
 class _Meeting:
-    """Triangles of two tissues that meet: when and where first, and whether they touch at the start."""
+    """Triangles of two tissues that meet: when first, and whether they touch at the start."""
 
     at: float
-    place: tuple[float, ...]
     touching: bool
     further: bool
 
     def and_also(self, other: _Meeting) -> _Meeting:
         """What is seen of the same two tissues in two places."""
         first = min(self, other, key=lambda meeting: (not meeting.further, meeting.at))
-        return _Meeting(first.at, first.place, self.touching or other.touching, self.further or other.further)
+        return _Meeting(first.at, self.touching or other.touching, self.further or other.further)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -162,8 +159,8 @@ def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> Pa
     passages = []
     for (a, b), meeting in sorted(found.items(), key=lambda item: (item[1].at, item[0])):
         one, other = soup.names[a], soup.names[b]
-        shared = [shared_volume(frame, one, other) for frame in (before, after)]
-        passages.append(Passage(one, other, meeting.at, *shared, meeting.touching, meeting.further, meeting.place))
+        shared = shared_volume(before, one, other), shared_volume(after, one, other)
+        passages.append(Passage(one, other, meeting.at, *shared, meeting.touching, meeting.further))
     return PassageCheck(tuple(passages), examined)
 
 
@@ -250,15 +247,15 @@ class _Examined:
     """Some triangles on their way, with the pairs of primitives of different tissues whose boxes touch."""
 
     def __init__(self, ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> None:
+        self.ipctk = ipctk
         self.judge = ipctk.AdditiveCCD(MAX_ITERATIONS, CONSERVATIVE)
         used, corners = np.unique(soup.faces[faces], return_inverse=True)
-        self.origin = soup.before[used].mean(axis=0)
-        self.shift = shift
+        origin = soup.before[used].mean(axis=0)
         self.tissue = soup.tissue[used]
         self.faces = np.asfortranarray(corners.reshape(-1, 3).astype(np.int32))
         self.edges = np.asfortranarray(ipctk.edges(self.faces))
-        self.before = np.asfortranarray(soup.before[used] - self.origin)
-        self.after = np.asfortranarray(soup.after[used] - shift - self.origin)
+        self.before = np.asfortranarray(soup.before[used] - origin)
+        self.after = np.asfortranarray(soup.after[used] - shift - origin)
         self.mesh = ipctk.CollisionMesh(self.before, self.edges, self.faces)
         self.mesh.can_collide = ipctk.make_vertex_patches_filter(self.tissue.astype(np.int32))
         self.candidates = ipctk.Candidates()
@@ -277,25 +274,35 @@ class _Examined:
     def meeting(self) -> _Meeting:
         """What is seen of two tissues that are not free; the search is conservative, and ends a little before."""
         at_start = self._touching()
-        seen = []
-        for candidate in [*self.candidates.fv_candidates, *self.candidates.ee_candidates]:
-            ends = (candidate.dof(places, self.edges, self.faces) for places in (self.before, self.after))
-            met, at = candidate.ccd(*ends, 0.0, 1.0, self.judge)
-            if met:
-                vertices = np.array(candidate.vertex_ids(self.edges, self.faces))
-                by_touch = at == 0.0 or len(np.unique(self.tissue[vertices[at_start[vertices]]])) == 2
-                seen.append((by_touch, float(at), vertices))
-        by_touch, at, vertices = min(seen, key=lambda one: one[:2])
-        return _Meeting(
-            0.0 if by_touch else at,
-            tuple((self._places(at)[vertices].mean(axis=0) + self.origin + at * self.shift).tolist()),
-            touching=bool(at_start.any()) or any(touch for touch, *_ in seen),
-            further=not by_touch,
+        if not at_start.any() and (at := self._first(self.candidates)) > 0.0:
+            return _Meeting(at, touching=False, further=True)
+        others = self.ipctk.Candidates()
+        others.fv_candidates = [c for c in self.candidates.fv_candidates if not self._by_touch(c, at_start)]
+        others.ee_candidates = [c for c in self.candidates.ee_candidates if not self._by_touch(c, at_start)]
+        at = self._first(others)
+        if at == 0.0:  # triangles that touch in a point or an edge and cross nowhere
+            kept = [self._meets(c) for c in [*others.fv_candidates, *others.ee_candidates]]
+            at = min((when for when in kept if when > 0.0), default=1.0)
+        return _Meeting(at if at < 1.0 else 0.0, touching=True, further=at < 1.0)
+
+    def _first(self, candidates: Any) -> float:
+        """When the first of some pairs meets; 1 where none does."""
+        if not len(candidates):
+            return 1.0
+        return float(
+            candidates.compute_collision_free_stepsize(self.mesh, self.before, self.after, narrow_phase_ccd=self.judge)
         )
 
-    def _places(self, at: float) -> Points:
-        """(n, 3) where the vertices are on the way, seen from the frame that moves."""
-        return (1.0 - at) * self.before + at * self.after
+    def _meets(self, candidate: Any) -> float:
+        """When a pair meets; 1 where it does not."""
+        ends = (candidate.dof(places, self.edges, self.faces) for places in (self.before, self.after))
+        met, at = candidate.ccd(*ends, 0.0, 1.0, self.judge)
+        return float(at) if met else 1.0
+
+    def _by_touch(self, candidate: Any, at_start: Bool) -> bool:
+        """Whether a pair lies where the tissues touch at the start: on both it has vertices of triangles that do."""
+        vertices = np.array(candidate.vertex_ids(self.edges, self.faces))
+        return len(np.unique(self.tissue[vertices[at_start[vertices]]])) == 2
 
     def _touching(self) -> Bool:
         """(n,) which vertices belong to triangles that touch the other tissue's at the start."""

@@ -127,7 +127,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Two tissues on some triangles: overlap introduced in each pose, which stretches meet, whether they touch first."""
+    """Two tissues on some triangles: overlap introduced in each pose, which stretches meet, if they touch first."""
 
     introduced: tuple[float, ...]
     meets: tuple[bool, ...]

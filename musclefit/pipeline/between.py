@@ -25,6 +25,9 @@ MAX_POSES = 7
 MAX_PAIRS = 24
 """Pairs of tissues that are looked at closer between two frames; what is beyond is told as not settled."""
 
+SAME_MM = 1e-6
+"""A frame that is made again must be where it was up to this."""
+
 MAX_ROUNDS = 8
 """Each round halves edges that a map bends."""
 
@@ -70,7 +73,7 @@ def between_frames(stage: Stage, poses: tuple[Pose, Pose], ends: tuple[Anatomy, 
         ipctk is not installed, or the frames have different tissues.
     """
     found = check_passages(*ends, progress=Silent())
-    way = PosesOnTheWay(stage, *poses)
+    way = PosesOnTheWay(stage, poses, ends)
     looks = []
     for passage in found.passages:
         if way.pairs < MAX_PAIRS:
@@ -87,8 +90,9 @@ class PosesOnTheWay:
     Each pose is marched once, whatever pairs are looked at, and no more than `MAX_POSES` are.
     """
 
-    def __init__(self, stage: Stage, first: Pose, second: Pose) -> None:
-        self._stage, self._first, self._second = stage, first, second
+    def __init__(self, stage: Stage, poses: tuple[Pose, Pose], ends: tuple[Anatomy, Anatomy]) -> None:
+        self._stage, self._ends = stage, ends
+        self._first, self._second = poses
         self._maps: dict[float, Deformation | MusclefitError] = {}
         self._pairs: set[Names] = set()
 
@@ -152,6 +156,8 @@ class PosesOnTheWay:
                 )
             tissues.append(replace(given[name], surface=surface))
         rest = Anatomy(tuple(tissues), given.frame)
+        for number, moment in enumerate((0.0, 1.0)):
+            self._require_frame(self._ends[number], self._map(moment), names)
         posed = tuple(Posed(rest.with_vertices(map_(rest.vertices())), map_.with_jacobian) for map_ in maps)
         return Refined(rest, posed, chord, longest)
 
@@ -165,6 +171,14 @@ class PosesOnTheWay:
         if isinstance(made, MusclefitError):
             raise made
         return made
+
+    def _require_frame(self, frame: Anatomy, map_: Deformation, names: Names) -> None:
+        """Raise where a frame is not what the map makes of it: then the map's way says nothing about it."""
+        for name in names:
+            made = map_(self._stage.job.anatomy[name].surface.vertices)
+            off = float(np.linalg.norm(made - frame[name].surface.vertices, axis=1).max())
+            if not off <= SAME_MM:
+                raise PoseError(f"{name} is up to {off:.3g} mm off in a frame from where the map takes it")
 
     def _marched(self, pose: Pose) -> Deformation:
         job = posed_job(self._stage.job, pose)

@@ -20,7 +20,7 @@ from musclefit.validate.closer import MeetingKind
 pytest.importorskip("ipctk")
 
 PAIR = ("bone_distal", "muscle_flexor")
-POSES = Pose(0, 0.0, (("elbow_deg", 0.0),)), Pose(1, 1.0, (("elbow_deg", 40.0),))
+POSES = Pose(0, 0.0, (("elbow", 0.0),)), Pose(1, 1.0, (("elbow", 40.0),))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def ends(stage: Stage) -> tuple[Anatomy, Anatomy]:
 
 
 def test_refined_tissues_end_where_the_frames_are(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:
-    refined = PosesOnTheWay(stage, *POSES).refined(PAIR, [0.0, 0.5, 1.0], fineness=1)
+    refined = PosesOnTheWay(stage, POSES, ends).refined(PAIR, [0.0, 0.5, 1.0], fineness=1)
     settings = stage.job.rig.surfaces
     assert (refined.chord_mm, refined.longest_mm) == (settings.chord_tolerance_mm / 4, settings.longest_edge_mm / 2)
     for posed, frame in zip((refined.posed[0], refined.posed[2]), ends, strict=True):
@@ -58,27 +58,29 @@ def test_refined_tissues_end_where_the_frames_are(stage: Stage, ends: tuple[Anat
             assert off.max() <= 1.5 * refined.chord_mm
 
 
-def test_the_pose_half_way_is_the_frame_of_half_the_angle(stage: Stage) -> None:
-    way = PosesOnTheWay(stage, *POSES)
-    half = stage.frame(Pose(0, 0.5, (("elbow_deg", 20.0),))).anatomy
+def test_the_pose_half_way_is_the_frame_of_half_the_angle(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:
+    way = PosesOnTheWay(stage, POSES, ends)
+    half = stage.frame(Pose(0, 0.5, (("elbow", 20.0),))).anatomy
     assert half is not None
-    assert way.pose(0.5).degrees == (("elbow_deg", 20.0),)
+    assert way.pose(0.5).degrees == (("elbow", 20.0),)
     refined = way.refined(PAIR, [0.0, 0.5, 1.0], fineness=0)
     given = half["muscle_flexor"].surface.vertices
     moved = refined.posed[1].anatomy["muscle_flexor"].surface.vertices
     np.testing.assert_allclose(moved[: len(given)], given, atol=1e-9)
 
 
-def test_no_more_poses_are_made_than_stated(stage: Stage) -> None:
-    way = PosesOnTheWay(stage, *POSES)
+def test_no_more_poses_are_made_than_stated(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:
+    way = PosesOnTheWay(stage, POSES, ends)
     assert way.can_make(np.linspace(0, 1, MAX_POSES).tolist())
     assert not way.can_make(np.linspace(0, 1, MAX_POSES + 1).tolist())
 
 
-def test_a_pose_that_cannot_be_made_says_why(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pose_that_cannot_be_made_says_why(
+    stage: Stage, ends: tuple[Anatomy, Anatomy], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(between, "MAX_TRIANGLES", 100)
     with pytest.raises(PoseError, match="would need more than 50 triangles"):
-        PosesOnTheWay(stage, *POSES).refined(PAIR, [0.0, 1.0], fineness=0)
+        PosesOnTheWay(stage, POSES, ends).refined(PAIR, [0.0, 1.0], fineness=0)
 
 
 def test_a_motion_without_meetings_is_proved_free(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:

@@ -27,6 +27,8 @@ POSES = Pose(0, 0.0, (("elbow", 0.0),)), Pose(1, 1.0, (("elbow", 40.0),))
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     path: Path = write_tiny_rig(tmp_path_factory.mktemp("tiny") / "rig")
     drive_by_joints(path)
+    joints = path.with_name("joints.toml")
+    joints.write_text(joints.read_text(encoding="utf-8").replace("[-5, 60]", "[-175, 175]"), encoding="utf-8")
     return Stage.of(musclefit.read_rig(path, overrides=("deformer.path=joints", "certificate.max_boxes=2000")))
 
 
@@ -96,18 +98,37 @@ def _jumped(anatomy: Anatomy) -> Anatomy:
     return anatomy.with_vertices(places)
 
 
-def test_given_triangles_that_meet_are_looked_at_on_the_maps_own_way(
-    stage: Stage, ends: tuple[Anatomy, Anatomy], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Frames are forged so that straight ways lead through bones; the map's own way does not."""
-    forged = ends[0], _jumped(ends[1])
-    found = between_frames(stage, POSES, forged)
-    assert found.meetings
-    assert {look.kind for _, look in found.meetings} == {MeetingKind.GRAZE}
-    assert all(look.poses >= 1 and look.most_overlap_mm3 == 0.0 for _, look in found.meetings)
+def test_a_graze_of_straight_ways_is_cleared_on_the_maps_own_way(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From -90 to 90 degrees the distal bone goes round the elbow; on straight ways it cuts through the muscle."""
+    poses = Pose(0, 0.0, (("elbow", -90.0),)), Pose(1, 1.0, (("elbow", 90.0),))
+    first, second = (stage.frame(pose).anatomy for pose in poses)
+    assert first is not None
+    assert second is not None
+    frames = first, second
+    found = between_frames(stage, poses, frames)
+    ((passage, look),) = found.meetings
+    assert {passage.a, passage.b} == set(PAIR)
+    assert (passage.hidden, passage.touching) == (True, False)
+    assert (look.kind, look.most_overlap_mm3) == (MeetingKind.GRAZE, 0.0)
+    assert 1 <= look.poses <= MAX_POSES - 2
     monkeypatch.setattr(between, "MAX_PAIRS", 0)
-    kinds = {look.kind for _, look in between_frames(stage, POSES, forged).meetings}
-    assert kinds == {MeetingKind.UNSETTLED}
+    ((_, unlooked),) = between_frames(stage, poses, frames).meetings
+    assert (unlooked.kind, unlooked.triangles) == (MeetingKind.UNSETTLED, 0)
+    assert "no more are" in unlooked.note
+    monkeypatch.undo()
+    monkeypatch.setattr(between, "MAX_POSES", 2)
+    ((_, unmade),) = between_frames(stage, poses, frames).meetings
+    assert unmade.kind is MeetingKind.UNSETTLED
+
+
+def test_the_maps_own_way_says_nothing_about_frames_that_it_does_not_make(
+    stage: Stage, ends: tuple[Anatomy, Anatomy]
+) -> None:
+    """The second frame is forged: the muscle is on the other side of the bones, and the map never takes it there."""
+    found = between_frames(stage, POSES, (ends[0], _jumped(ends[1])))
+    assert found.meetings
+    assert {look.kind for _, look in found.meetings} == {MeetingKind.UNSETTLED}
+    assert "40 mm off in a frame from where the map takes it" in found.meetings[0][1].note
 
 
 def test_other_tissues_are_refused(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:

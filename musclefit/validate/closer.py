@@ -30,6 +30,10 @@ FINEST = 2
 ROUNDS = 6
 """How often it is looked again, with finer triangles or at more poses; in the last, stretches are 1/64 of the way."""
 
+SHRINKS = 0.5
+"""An overlap is believed where the finest triangles leave more than this share of what coarser ones showed: those of
+half the edge and a quarter of the chord tolerance take most of it away where it comes of triangles alone."""
+
 Names = tuple[str, str]
 
 
@@ -138,6 +142,11 @@ class _Seen:
         """In which poses they overlap by more than rounding."""
         return tuple(volume > ROUNDING_MM3 for volume in self.introduced)
 
+    @property
+    def most(self) -> float:
+        """The largest overlap introduced in a pose, mm³; 0 where none is known."""
+        return max((volume for volume in self.introduced if not math.isnan(volume)), default=0.0)
+
 
 def looked_at(passage: Passage, rest: Anatomy, poses: PosesBetween) -> Look:
     """What a meeting of given triangles turns out to be; looked at closer where the frames do not tell.
@@ -180,8 +189,8 @@ def look_closer(names: Names, poses: PosesBetween) -> Look:
     -------
     Look
         "graze of coarse triangles" where finer ones share nothing in any pose and meet on no straight stretch from one
-        to the next; "enters", "leaves" and "passes through" where even the finest overlap; "not settled" where neither
-        was found with the poses that may be made.
+        to the next; "enters", "leaves" and "passes through" where even the finest overlap, and hardly less than coarser
+        ones; "not settled" where neither was found with the poses that may be made.
 
     Notes
     -----
@@ -190,6 +199,7 @@ def look_closer(names: Names, poses: PosesBetween) -> Look:
     """
     moments: list[float] = [0.0, 0.5, 1.0]
     looked: tuple[Refined, _Seen] | None = None
+    coarser = 0.0
     reason = "no pose on the way may be made any more"
     for number in range(ROUNDS):
         fineness = min(number, FINEST)
@@ -205,7 +215,11 @@ def look_closer(names: Names, poses: PosesBetween) -> Look:
                 kind = MeetingKind.TOUCHES if seen.touching else MeetingKind.GRAZE
                 return _look(kind, refined, seen, note=_doubt(seen))
             if any(seen.overlaps) and fineness == FINEST:
-                return _look(_confirmed(seen), refined, seen)
+                if seen.most > SHRINKS * coarser:
+                    return _look(_confirmed(seen), refined, seen)
+                reason = f"an overlap that shrinks from {coarser:.3g} to {seen.most:.3g} mm³ as triangles get finer"
+                break
+            coarser = seen.most
             reason = "triangles still meet on the way, from " + _in_words(moments, seen)
             wanted = _halved(moments, seen)
             if poses.can_make(wanted):

@@ -198,3 +198,19 @@ def test_half_a_millimetre_decides(gap_mm: float) -> None:
 
     kinds = {-0.5: MeetingKind.THROUGH, 0.5: MeetingKind.GRAZE}
     assert look(rest, way).kind is kinds[gap_mm]
+
+
+@pytest.mark.parametrize(("share", "kind"), [(0.25, MeetingKind.UNSETTLED), (1.0, MeetingKind.THROUGH)])
+def test_an_overlap_that_finer_triangles_take_away_is_not_believed(share: float, kind: MeetingKind) -> None:
+    """Half way a ball is in another, with each fineness by a share of the depth before."""
+    rest = two(ball((40, 0, 0)), ball((0, 0, 0)))
+
+    def way(points: Points, moment: float) -> Points:
+        depth = 1.0 * share ** max(poses.finest, 0)
+        return points + np.array([np.sin(np.pi * moment) * (15.9 - depth - 40.0), 80 * (moment - 0.5), 0])
+
+    poses = Poses(rest, way)
+    passage = Passage(A, B, 0.5, 0.0, 0.0)
+    found = looked_at(passage, rest, poses)
+    assert found.kind is kind
+    assert ("shrinks" in found.note) == (share < 1.0)

@@ -215,7 +215,7 @@ def look_closer(names: Names, poses: PosesBetween) -> Look:
                 kind = MeetingKind.TOUCHES if seen.touching else MeetingKind.GRAZE
                 return _look(kind, refined, seen, note=_doubt(seen))
             if any(seen.overlaps) and fineness == FINEST:
-                if seen.most > SHRINKS * coarser:
+                if math.isinf(seen.most) or seen.most > SHRINKS * coarser:
                     return _look(_confirmed(seen), refined, seen)
                 reason = f"an overlap that shrinks from {coarser:.3g} to {seen.most:.3g} mm³ as triangles get finer"
                 break

@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -15,12 +15,12 @@ import numpy as np
 from musclefit.errors import MusclefitError
 from musclefit.geometry.arrays import Points
 from musclefit.io.sequence_frames import VERTICES, frame_folder, write_atomically, write_frame
+from musclefit.pipeline.between import between_frames
 from musclefit.pipeline.sequence import Stage
-from musclefit.progress import Silent, Tick
-from musclefit.report.sequence import BetweenSummary
+from musclefit.progress import Tick
+from musclefit.report.sequence import BetweenSummary, PassageSummary
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
-from musclefit.validate.passing import check_passages
 
 BETWEEN = "between"
 
@@ -72,10 +72,10 @@ def examine(number: int) -> float:
     before, after = (rest.with_vertices(_vertices(path)) for path in ends)
     times = [work.poses[k].time_s for k in (number, number + 1)]
     try:
-        found = check_passages(before, after, progress=Silent())
+        found = between_frames(work.stage, (work.poses[number], work.poses[number + 1]), (before, after))
         passages = tuple(
-            (p.a, p.b, times[0] + p.at * (times[1] - times[0]), p.overlap_before_mm3, p.overlap_after_mm3, p.hidden)
-            for p in found.passages
+            PassageSummary.of(passage, look, time_s=times[0] + passage.at * (times[1] - times[0]))
+            for passage, look in found.meetings
         )
         summary = BetweenSummary(number, number + 1, passages, found.pairs_examined)
     except MusclefitError as error:
@@ -96,7 +96,7 @@ def write_between(folder: Path, summary: BetweenSummary, *, key: str) -> None:
         "key": key,
         "first": summary.first,
         "second": summary.second,
-        "passages": [list(passage) for passage in summary.passages],
+        "passages": [asdict(passage) for passage in summary.passages],
         "pairs_examined": summary.pairs_examined,
         "problem": summary.problem,
         "cpu_s": summary.cpu_s,
@@ -112,7 +112,7 @@ def read_between(folder: Path, number: int) -> BetweenSummary | None:
         ends = [frame_folder(folder, k) / VERTICES for k in (number, number + 1)]
         if record.pop("key") != between_key(*ends):
             return None
-        return BetweenSummary(**{**record, "passages": tuple(tuple(p) for p in record["passages"])})
+        return BetweenSummary(**{**record, "passages": tuple(PassageSummary(**p) for p in record["passages"])})
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

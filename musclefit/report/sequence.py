@@ -8,10 +8,12 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from musclefit.report.model import Verdict, verdict_of
+from musclefit.validate.closer import Look, MeetingKind
 from musclefit.validate.model import Check, MapClaim
 from musclefit.validate.muscles import MuscleMeasures
+from musclefit.validate.passing import Passage
 
-SEQUENCE_SCHEMA_VERSION = 1
+SEQUENCE_SCHEMA_VERSION = 2
 
 REST_MM = 1e-9
 """How far a frame in the rest pose may be from rest."""
@@ -71,24 +73,81 @@ class FrameSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class BetweenSummary:
-    """What happens from one frame to the next: pairs that meet, with the time they are first seen to.
+class PassageSummary:
+    """Two tissues whose given triangles meet between two frames, and what that turned out to be.
 
-    ``passages`` holds (a, b, time in s, overlap in the frame before and after in mm³, hidden); ``problem`` says why
-    it was not examined, in words.
+    Parameters
+    ----------
+    a, b : str
+    time_s : float
+        When they are first seen to meet.
+    overlap_before_mm3, overlap_after_mm3 : float
+        Of the given triangles in the two frames.
+    kind : str
+        A `MeetingKind`.
+    poses : int
+        On the way that were looked at with finer triangles, the frames not counted; 0 where it was not looked closer.
+    chord_mm, longest_mm : float
+        Chord tolerance and longest edge at rest of the finest triangles; NaN where it was not looked closer.
+    triangles : int
+        Of both tissues, the finest.
+    most_overlap_mm3 : float
+        The largest overlap introduced in a pose that was looked at.
+    note : str
+    """
+
+    a: str
+    b: str
+    time_s: float
+    overlap_before_mm3: float
+    overlap_after_mm3: float
+    kind: str
+    poses: int = 0
+    chord_mm: float = math.nan
+    longest_mm: float = math.nan
+    triangles: int = 0
+    most_overlap_mm3: float = math.nan
+    note: str = ""
+
+    @classmethod
+    def of(cls, passage: Passage, look: Look, *, time_s: float) -> PassageSummary:
+        """What is told of a meeting."""
+        said = {**asdict(look), "kind": look.kind.value}
+        return cls(passage.a, passage.b, time_s, passage.overlap_before_mm3, passage.overlap_after_mm3, **said)
+
+    @property
+    def looked_closer(self) -> str:
+        """How it was looked at closer, in words; "" where it was not."""
+        if not self.triangles:
+            return ""
+        return (
+            f"{self.poses} poses on the way, {self.triangles} triangles, edges up to {self.longest_mm:.3g} mm, chord "
+            f"tolerance {self.chord_mm:.3g} mm, overlap up to {self.most_overlap_mm3:.3g} mm³"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BetweenSummary:
+    """What happens from one frame to the next: pairs whose given triangles meet, and what that turned out to be.
+
+    ``problem`` says why it was not examined, in words.
     """
 
     first: int
     second: int
-    passages: tuple[tuple[str, str, float, float, float, bool], ...] = ()
+    passages: tuple[PassageSummary, ...] = ()
     pairs_examined: int = 0
     problem: str = ""
     cpu_s: float = 0.0
 
     @property
-    def hidden(self) -> int:
-        """Pairs that pass through each other without any frame showing it."""
-        return sum(passage[5] for passage in self.passages)
+    def proved_free(self) -> bool:
+        """Whether it is proved that no given triangles of two tissues meet, each vertex moving straight."""
+        return not self.passages and not self.problem
+
+    def of_kind(self, kind: MeetingKind) -> tuple[PassageSummary, ...]:
+        """The meetings of one kind."""
+        return tuple(passage for passage in self.passages if passage.kind == kind.value)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -228,14 +287,10 @@ def _badness(check: Check) -> float:
 
 
 def _between_checks(between: Sequence[BetweenSummary]) -> list[Check]:
-    hidden = [(b, p) for b in between for p in b.passages if p[5]]
     left = [b for b in between if b.problem]
-    place = ""
-    if hidden:
-        b, (one, other, time, *_) = hidden[0]
-        place = f"{one} / {other} at {time:.4g} s, between frames {b.first} and {b.second}"
     return [
-        Check("passed through between frames", float(len(hidden)), 0.0, "pairs", place),
+        _meeting_check("passed through between frames", between, MeetingKind.THROUGH),
+        _meeting_check("not settled between frames", between, MeetingKind.UNSETTLED),
         Check(
             "not examined between frames",
             float(len(left)),
@@ -244,6 +299,17 @@ def _between_checks(between: Sequence[BetweenSummary]) -> list[Check]:
             f"frames {left[0].first} and {left[0].second}: {left[0].problem}" if left else "",
         ),
     ]
+
+
+def _meeting_check(name: str, between: Sequence[BetweenSummary], kind: MeetingKind) -> Check:
+    """None of the meetings may be of this kind."""
+    found = [(b, passage) for b in between for passage in b.of_kind(kind)]
+    place = ""
+    if found:
+        b, p = found[0]
+        place = f"{p.a} / {p.b} at {p.time_s:.4g} s, between frames {b.first} and {b.second}"
+        place += f": {p.note}" if p.note else ""
+    return Check(name, float(len(found)), 0.0, "pairs", place)
 
 
 def _place(frame: FrameSummary) -> str:
@@ -293,9 +359,8 @@ def _frame(frame: FrameSummary) -> dict[str, Any]:
 
 
 def _between(between: BetweenSummary) -> dict[str, Any]:
-    keys = ("a", "b", "time_s", "overlap_before_mm3", "overlap_after_mm3", "hidden")
-    passages = [dict(zip(keys, passage, strict=True)) for passage in between.passages]
-    for passage in passages:
-        for key in keys[3:5]:
-            passage[key] = _finite(passage[key])  # type: ignore[arg-type]
-    return {**asdict(between), "passages": passages}
+    passages = [
+        {key: _finite(value) if isinstance(value, float) else value for key, value in asdict(passage).items()}
+        for passage in between.passages
+    ]
+    return {**asdict(between), "passages": passages, "proved_free": between.proved_free}

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from musclefit.report.curves import curves
 from musclefit.report.html import render_page, sentence
 from musclefit.report.sequence import MADE, SEQUENCE_SCHEMA_VERSION, FrameSummary, SequenceReport
+from musclefit.validate.closer import MeetingKind
 from musclefit.validate.muscles import MuscleMeasures
 
 
@@ -55,6 +56,8 @@ def render_sequence(report: SequenceReport, *, pictures: Mapping[str, tuple[str,
         "rows": [_row(frame) for frame in report.frames],
         "coordinates": list(report.frames[0].pose_deg),
         "passages": [(b, p) for b in report.between for p in b.passages],
+        "proved_free": sum(b.proved_free for b in report.between),
+        "failing": [kind.value for kind in MeetingKind if kind.fails],
         "unexamined": [b for b in report.between if b.problem],
         "curves": muscle_curves(report),
         "angles": Markup(_angles(report)),

@@ -1,7 +1,8 @@
-"""Does a tissue pass through another between two frames? Two anatomies -> a proof that none does, or pairs and times.
+"""Do given triangles meet between two frames? Two anatomies -> a proof that none do, or pairs and times.
 
 Between the frames every vertex moves straight and evenly. Whether triangles meet on the way is decided by ipctk's
-conservative advancement, which may see a touch where there is a hair's breadth between, but misses none.
+conservative advancement, which may see a touch where there is a hair's breadth between, but misses none. That given
+triangles meet does not say that the tissues do: `musclefit.validate.closer` looks at them with finer ones.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.arrays import Float, Int, Points
+from musclefit.geometry.arrays import Bool, Float, Int, Points
+from musclefit.geometry.crossings import crossings_between
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import ROUNDING_MM3, overlap_volume, solid_of
 from musclefit.progress import Progress
@@ -35,11 +38,20 @@ MARGIN_MM = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """Two tissues that meet on the way from one frame to the next.
+    """Two tissues whose triangles meet on the way from one frame to the next.
 
-    ``at`` is when they are first seen to, as a fraction of the way. ``overlap_before_mm3`` and ``overlap_after_mm3``
-    are what their given triangles share in the two frames: where one is above 0 they were seen entering or leaving each
-    other there; where both are 0 one passed through the other in between, and no frame shows it.
+    Parameters
+    ----------
+    a, b : str
+    at : float
+        When they are first seen to, as a fraction of the way; 0 where they touch in the first frame and come to meet
+        nowhere else.
+    overlap_before_mm3, overlap_after_mm3 : float
+        What their triangles share in the two frames.
+    touching : bool
+        Triangles of the two touch or cross in the first frame already.
+    further : bool
+        Others than those, and those around them, come to meet on the way.
     """
 
     a: str
@@ -47,6 +59,8 @@ class Passage:
     at: float
     overlap_before_mm3: float
     overlap_after_mm3: float
+    touching: bool = False
+    further: bool = True
 
     @property
     def hidden(self) -> bool:
@@ -60,6 +74,20 @@ class PassageCheck:
 
     passages: tuple[Passage, ...]
     pairs_examined: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Meeting:
+    """Triangles of two tissues that meet: when first, and whether they touch at the start."""
+
+    at: float
+    touching: bool
+    further: bool
+
+    def and_also(self, other: _Meeting) -> _Meeting:
+        """What is seen of the same two tissues in two places."""
+        first = min(self, other, key=lambda meeting: (not meeting.further, meeting.at))
+        return _Meeting(first.at, self.touching or other.touching, self.further or other.further)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,7 +126,7 @@ def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> Pa
     Returns
     -------
     PassageCheck
-        Without passages, it is proved that no tissue passed through another.
+        Without passages, it is proved that no tissue passed through another, its triangles moving straight.
 
     Raises
     ------
@@ -118,21 +146,31 @@ def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> Pa
     """
     ipctk = _ipctk()
     soup = _soup(before, after)
-    first: dict[tuple[int, int], float] = {}
+    found: dict[tuple[int, int], _Meeting] = {}
     examined = 0
     with progress.stage("between frames") as tick:
         for done, shift, faces in _neighbourhoods(soup):
             seen, meetings = _meetings(ipctk, soup, faces, shift)
             examined += seen
-            for pair, at in meetings.items():
-                first[pair] = min(at, first.get(pair, np.inf))
+            for pair, meeting in meetings.items():
+                found[pair] = found[pair].and_also(meeting) if pair in found else meeting
             tick(done)
         tick(1.0)
     passages = []
-    for (a, b), at in sorted(first.items(), key=lambda item: item[1]):
+    for (a, b), meeting in sorted(found.items(), key=lambda item: (item[1].at, item[0])):
         one, other = soup.names[a], soup.names[b]
-        passages.append(Passage(one, other, at, _overlap(before, one, other), _overlap(after, one, other)))
+        shared = shared_volume(before, one, other), shared_volume(after, one, other)
+        passages.append(Passage(one, other, meeting.at, *shared, meeting.touching, meeting.further))
     return PassageCheck(tuple(passages), examined)
+
+
+def shared_volume(anatomy: Anatomy, one: str, other: str) -> float:
+    """What the triangles of two tissues share, mm³; NaN where a surface is no solid."""
+    surfaces: list[TriMesh] = [anatomy[one].surface, anatomy[other].surface]
+    try:
+        return overlap_volume(*(solid_of(surface) for surface in surfaces))
+    except MeshError:
+        return float("nan")
 
 
 def _ipctk() -> ModuleType:
@@ -143,6 +181,7 @@ def _ipctk() -> ModuleType:
             "proving that nothing passes through anything between frames needs ipctk, which is not installed: "
             "pip install 'musclefit[motion]'"
         ) from None
+    ipctk.set_logger_level(ipctk.LoggerLevel.error)  # it warns of every pair that touches at the start
     return ipctk  # type: ignore[no-any-return]
 
 
@@ -191,32 +230,34 @@ def _neighbourhoods(soup: _Soup) -> Iterator[tuple[float, Float, Int]]:
             yield (number + 1) / len(shifts), shift, near
 
 
-def _meetings(ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> tuple[int, dict[tuple[int, int], float]]:
-    """How many pairs of primitives of some triangles were examined, and when tissues among them first meet."""
+def _meetings(ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> tuple[int, dict[tuple[int, int], _Meeting]]:
+    """How many pairs of primitives of some triangles were examined, and which tissues among them meet."""
     all_together = _Examined(ipctk, soup, faces, shift)
-    first: dict[tuple[int, int], float] = {}
+    found: dict[tuple[int, int], _Meeting] = {}
     if not all_together.is_free():
         owner = soup.tissue[soup.faces[faces, 0]]
         for a, b in combinations(np.unique(owner).tolist(), 2):
             pair = _Examined(ipctk, soup, faces[(owner == a) | (owner == b)], shift)
             if not pair.is_free():
-                first[a, b] = pair.first_meeting()
-    return all_together.count, first
+                found[a, b] = pair.meeting()
+    return all_together.count, found
 
 
 class _Examined:
     """Some triangles on their way, with the pairs of primitives of different tissues whose boxes touch."""
 
     def __init__(self, ipctk: ModuleType, soup: _Soup, faces: Int, shift: Float) -> None:
+        self.ipctk = ipctk
         self.judge = ipctk.AdditiveCCD(MAX_ITERATIONS, CONSERVATIVE)
         used, corners = np.unique(soup.faces[faces], return_inverse=True)
         origin = soup.before[used].mean(axis=0)
+        self.tissue = soup.tissue[used]
         self.faces = np.asfortranarray(corners.reshape(-1, 3).astype(np.int32))
         self.edges = np.asfortranarray(ipctk.edges(self.faces))
         self.before = np.asfortranarray(soup.before[used] - origin)
         self.after = np.asfortranarray(soup.after[used] - shift - origin)
         self.mesh = ipctk.CollisionMesh(self.before, self.edges, self.faces)
-        self.mesh.can_collide = ipctk.make_vertex_patches_filter(soup.tissue[used].astype(np.int32))
+        self.mesh.can_collide = ipctk.make_vertex_patches_filter(self.tissue.astype(np.int32))
         self.candidates = ipctk.Candidates()
         self.candidates.build(self.mesh, self.before, self.after, broad_phase=ipctk.LBVH())
         self.count = len(self.candidates)
@@ -230,19 +271,45 @@ class _Examined:
             self.candidates.is_step_collision_free(self.mesh, self.before, self.after, narrow_phase_ccd=self.judge)
         )
 
-    def first_meeting(self) -> float:
-        """When the first pair meets, at the latest: the search is conservative, and ends a little before."""
+    def meeting(self) -> _Meeting:
+        """What is seen of two tissues that are not free; the search is conservative, and ends a little before."""
+        at_start = self._touching()
+        if not at_start.any() and (at := self._first(self.candidates)) > 0.0:
+            return _Meeting(at, touching=False, further=True)
+        others = self.ipctk.Candidates()
+        others.fv_candidates = [c for c in self.candidates.fv_candidates if not self._by_touch(c, at_start)]
+        others.ee_candidates = [c for c in self.candidates.ee_candidates if not self._by_touch(c, at_start)]
+        at = self._first(others)
+        if at == 0.0:  # triangles that touch in a point or an edge and cross nowhere
+            kept = [self._meets(c) for c in [*others.fv_candidates, *others.ee_candidates]]
+            at = min((when for when in kept if when > 0.0), default=1.0)
+        return _Meeting(at if at < 1.0 else 0.0, touching=True, further=at < 1.0)
+
+    def _first(self, candidates: Any) -> float:
+        """When the first of some pairs meets; 1 where none does."""
+        if not len(candidates):
+            return 1.0
         return float(
-            self.candidates.compute_collision_free_stepsize(
-                self.mesh, self.before, self.after, narrow_phase_ccd=self.judge
-            )
+            candidates.compute_collision_free_stepsize(self.mesh, self.before, self.after, narrow_phase_ccd=self.judge)
         )
 
+    def _meets(self, candidate: Any) -> float:
+        """When a pair meets; 1 where it does not."""
+        ends = (candidate.dof(places, self.edges, self.faces) for places in (self.before, self.after))
+        met, at = candidate.ccd(*ends, 0.0, 1.0, self.judge)
+        return float(at) if met else 1.0
 
-def _overlap(anatomy: Anatomy, one: str, other: str) -> float:
-    """What the given triangles of two tissues share, mm³; NaN where a surface is no solid."""
-    surfaces: list[TriMesh] = [anatomy[one].surface, anatomy[other].surface]
-    try:
-        return overlap_volume(*(solid_of(surface) for surface in surfaces))
-    except MeshError:
-        return float("nan")
+    def _by_touch(self, candidate: Any, at_start: Bool) -> bool:
+        """Whether a pair lies where the tissues touch at the start: on both it has vertices of triangles that do."""
+        vertices = np.array(candidate.vertex_ids(self.edges, self.faces))
+        return len(np.unique(self.tissue[vertices[at_start[vertices]]])) == 2
+
+    def _touching(self) -> Bool:
+        """(n,) which vertices belong to triangles that touch the other tissue's at the start."""
+        owner = self.tissue[self.faces[:, 0]]
+        parts = [self.faces[owner == tissue] for tissue in np.unique(owner)]
+        pairs = crossings_between(*(TriMesh(self.before, part.astype(np.int64)) for part in parts)).pairs
+        touching: Bool = np.zeros(len(self.before), dtype=bool)
+        for part, side in zip(parts, pairs.T, strict=True):
+            touching[part[side]] = True
+        return touching

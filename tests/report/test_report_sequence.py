@@ -13,6 +13,7 @@ from musclefit.report.curves import curves
 from musclefit.report.sequence import (
     BetweenSummary,
     FrameSummary,
+    PassageSummary,
     SequenceReport,
     measures_table,
     sequence_to_json,
@@ -72,8 +73,8 @@ def test_a_rest_pose_off_rest_fails() -> None:
 
 def test_refused_frames_and_hidden_passages_fail_and_are_named() -> None:
     refused = replace(frame(1, 0.0), outcome="refused", problem="bones 'a' and 'b' ... 2.5 mm deep", checks=())
-    hidden = BetweenSummary(0, 1, (("muscle_a", "muscle_b", 0.31, 0.0, 0.0, True),), 100)
-    seen = BetweenSummary(1, 2, (("muscle_a", "muscle_b", 0.7, 0.0, 3.0, False),), 100)
+    hidden = BetweenSummary(0, 1, (PassageSummary("muscle_a", "muscle_b", 0.31, 0.0, 0.0, "passes through"),), 100)
+    seen = BetweenSummary(1, 2, (PassageSummary("muscle_a", "muscle_b", 0.7, 0.0, 3.0, "enters"),), 100)
     found = report(frame(0, 1e-9), refused, frame(2, 1e-9), between=(hidden, seen))
     failed = {check.name: check for check in found.checks if not check.passed}
     assert failed.keys() == {"refused frames", "passed through between frames"}
@@ -83,12 +84,42 @@ def test_refused_frames_and_hidden_passages_fail_and_are_named() -> None:
 
 
 def test_json_has_no_number_that_json_cannot_say() -> None:
-    gone = BetweenSummary(0, 1, (("a", "b", 0.1, float("nan"), 0.0, False),), 7)
+    gone = BetweenSummary(0, 1, (PassageSummary("a", "b", 0.1, float("nan"), 0.0, "touching at the start"),), 7)
     text = json.dumps(sequence_to_json(report(frame(0, float("nan")), frame(1, 0.0), between=(gone,))), allow_nan=False)
     read = json.loads(text)
     assert read["frames"][0]["checks"][0]["value"] is None
     assert read["between"][0]["passages"][0]["overlap_before_mm3"] is None
     assert read["certified_frames"] == 2
+
+
+GRAZE = PassageSummary("muscle_a", "bone_<b>", 0.3, 0.0, 0.0, "graze of coarse triangles", 3, 0.005, 1.5, 4000, 0.0)
+
+
+def test_grazes_and_touches_are_told_and_do_not_fail() -> None:
+    touch = PassageSummary("muscle_a", "muscle_b", 0.0, 2.0, 0.0, "touching at the start", note="in the frame before")
+    between = (BetweenSummary(0, 1, (GRAZE, touch), 100), BetweenSummary(1, 2, (), 50))
+    found = report(frame(0, 1e-9), frame(1, 1e-9), frame(2, 1e-9), between=between)
+    assert found.verdict == "passed"
+    said = sequence_to_json(found)["between"]
+    assert [b["proved_free"] for b in said] == [False, True]
+    graze, told = said[0]["passages"]
+    assert (graze["kind"], graze["poses"], graze["chord_mm"], graze["longest_mm"]) == (GRAZE.kind, 3, 0.005, 1.5)
+    assert (told["triangles"], told["chord_mm"], told["note"]) == (0, None, "in the frame before")
+    page = render_sequence(found, pictures={})
+    assert "Between 1 of 2 pairs of frames it is proved that none do" in page
+    assert "3 poses on the way, 4000 triangles, edges up to 1.5 mm, chord tolerance 0.005 mm" in page
+    assert "touching at the start: in the frame before" in page
+    assert "bone_&lt;b&gt;" in page.replace("<wbr>", "")
+
+
+def test_what_is_not_settled_fails_and_what_was_not_examined_is_not_proved_free() -> None:
+    doubt = replace(GRAZE, kind="not settled", note="triangles still meet on the way")
+    between = (BetweenSummary(0, 1, (doubt,), 100), BetweenSummary(1, 2, problem="no ipctk"))
+    found = report(frame(0, 1e-9), frame(1, 1e-9), frame(2, 1e-9), between=between)
+    failed = {check.name: check.place for check in found.checks if not check.passed}
+    assert failed.keys() == {"not settled between frames", "not examined between frames"}
+    assert "triangles still meet on the way" in failed["not settled between frames"]
+    assert not any(b.proved_free for b in found.between)
 
 
 def test_measures_come_as_rows() -> None:

@@ -136,7 +136,7 @@ class Lock:
         middle, halfway = 0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1])
         if not abs(np.linalg.det(middle)) > 1e-6 * abs(np.linalg.det(before[0])):
             raise FieldError("a bone turns by about 180 degrees in one step; use smaller steps")
-        to_rest = np.linalg.inv(middle)
+        to_rest: Float = np.asarray(np.linalg.inv(middle), dtype=np.float64)
         linear = (after[0] - before[0]) @ to_rest
         return cls(weight, to_rest, -to_rest @ halfway, linear, after[1] - before[1] - linear @ halfway)
 
@@ -311,7 +311,7 @@ class LockedField:
             return gradients, radii
         here, half = np.ascontiguousarray(centres[rest]), np.ascontiguousarray(halves[rest])
         steep, spread = self.base.gradient_bounds(here, half)
-        known = np.isfinite(steep).all(axis=(1, 2))
+        known: Bool = np.asarray(np.isfinite(steep).all(axis=(1, 2)), dtype=np.bool_)
         steep, spread = np.where(known[:, None, None], steep, 0.0), np.where(known, spread, np.inf)
         touched = ~boxes.bare[rest]
         if touched.any():

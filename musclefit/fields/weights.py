@@ -122,8 +122,8 @@ def _value(bricks, values, i, j, k):
 def weight_ranges(low, h, bricks, values, ranges, centres, half_widths, gradients, out):
     """Proved ranges over boxes of centres and half widths (B, 3), mm, in the lattice's own frame.
 
-    ``ranges`` is what `brick_ranges` gives, and ``gradients`` (B, 3) are those at the centres. Writes (B, 4): lowest and
-    highest weight, largest length of the gradient, and how far it gets from that at the centre.
+    ``ranges`` is what `brick_ranges` gives, and ``gradients`` (B, 3) are those at the centres. Writes
+    (B, 4): lowest and highest weight, largest length of the gradient, and how far it gets from that at the centre.
     """
     top = 1.0 + 1e-12
     for box in prange(centres.shape[0]):

@@ -157,10 +157,10 @@ class BoneStepper:
 
     The local part is the curl of a B-spline potential on lattices around the bones, so that it has no divergence. It
     takes what the radial part leaves of the rigid motions of the bones' exposed vertices, in the least squares sense,
-    and the exact handles to the last digit. What it still misses, locks take: on the bones' surfaces and around them the
-    field is their rigid motion. So bones are where they belong after every stretch, and each stretch starts from there.
-    In the contact zone two bones slide past each other closer than any
-    tissue between them could follow: there only the part along the bone's normal is held, and the field may slip.
+    and the exact handles to the last digit. What it still misses, locks take: on the bones' surfaces and around them
+    the field is their rigid motion. So bones are where they belong after every stretch, and each starts from there. In
+    the contact zone two bones slide past each other closer than any tissue between them could follow: there only the
+    part along the bone's normal is held, and the field may slip.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ def _bricks_near(samples: Points, low: Float, side: float, shape: NDArray[np.int
 def _coarse(
     samples: Points, near: NDArray[np.int64], low: Float, side: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For every brick the numbers (R, 27) of the samples nearest to its corners, middles of edges and faces, and centre."""
+    """For every brick the numbers (R, 27) of the samples nearest to its corners, its centre and what is half way."""
     steps = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     places = (2 * near[:, None, :] + steps).reshape(-1, 3)
     unique, inverse = np.unique(places, axis=0, return_inverse=True)

@@ -52,11 +52,9 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
-import os
-
-LOCK_SPACING_MM = float(os.environ.get("LS", "0.5"))
-LOCK_FADE_MM = float(os.environ.get("LF", "6"))
-LOCK_GAP_MM = float(os.environ.get("LG", "3"))
+LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.5, 2.5, 4.0
+"""Of what locks the field to bones: spacing of the weights' lattice, where weights have faded, and how close bones that
+move otherwise may come before neither is locked there."""
 
 CONTACT_SAMPLED = 0.8
 """... and in and around the contact zones, in units of the finest lattice: between coarser samples the field, which is

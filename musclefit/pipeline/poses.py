@@ -65,10 +65,15 @@ def refuse_collision(job: Job, bones: RigidBones) -> None:
     found = collision_on_the_way(job, bones)
     if found is None:
         return
-    raise InputError(
-        f"{collision_in_words(job, found)}; set drive.pose to that or to less, correct the joints (musclefit "
-        "joint-range says how far each can turn), or let the bones deform (bones.rigid = false)"
-    )
+    raise InputError(f"{collision_in_words(job, found)}; {_remedy(job)}, or let the bones deform (bones.rigid = false)")
+
+
+def _remedy(job: Job) -> str:
+    if isinstance(job.rig.drive, JointDrive):
+        return (
+            "set drive.pose to that or to less, correct the joints (musclefit joint-range says how far each can turn)"
+        )
+    return "correct where the bones are sent, or the surfaces of these two"
 
 
 def collision_in_words(job: Job, found: BoneCollision) -> str:

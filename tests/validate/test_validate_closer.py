@@ -221,9 +221,9 @@ def test_open_surfaces_are_judged_by_what_crosses_and_that_is_said() -> None:
     way = straight((80, 0, 0))
     passage = Passage(A, B, 0.3, np.nan, np.nan)
     # Half way the balls coincide: their surfaces must cross there, so the first goes a little beside.
-    beside = two(TriMesh(whole.vertices + (0, 3, 0), whole.faces[1:]), ball((0, 0, 0)))
+    beside = two(TriMesh(whole.vertices + np.array([0.0, 3.0, 0.0]), whole.faces[1:]), ball((0, 0, 0)))
     assert looked_at(passage, beside, Poses(beside, way)).kind is MeetingKind.THROUGH
-    far = two(TriMesh(whole.vertices + (0, 30, 0), whole.faces[1:]), ball((0, 0, 0)))
+    far = two(TriMesh(whole.vertices + np.array([0.0, 30.0, 0.0]), whole.faces[1:]), ball((0, 0, 0)))
     found = looked_at(passage, far, Poses(far, way))
     assert found.kind is MeetingKind.GRAZE
     assert "no solid" in found.note

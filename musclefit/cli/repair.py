@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from musclefit.cli.progress import TimedStages
+from musclefit.cli.summary import print_failed
 from musclefit.rig.model import Unit
 
 if TYPE_CHECKING:
@@ -124,11 +125,7 @@ def print_repair(report: RepairReport, *, where: str) -> None:
         console.print(Text(f"note: {finding.message}"))
     if report.resolved is not None:
         _print_resolved(console, report.resolved)
-    for check in report.checks:
-        if not check.passed:
-            console.print(
-                Text(f"failed: {check.name} {check.value:.4g} {check.unit}, limit {check.limit:.4g} ({check.place})")
-            )
+    print_failed(console, report.checks)
     console.print(Text(where))
 
 

@@ -90,7 +90,10 @@ def _print(report: SequenceReport, folder: Path) -> None:
         table.add_column(heading, justify=justify)  # type: ignore[arg-type]
     table.add_column("where", justify="left", overflow="fold")
     for check in report.checks:
-        said = f"{check.value:.4g}", f"{check.limit:.4g}"
+        said = f"{check.value:.4g}", f"{check.limit:.4g}" if check.limited else "none"
         table.add_row("ok" if check.passed else "FAIL", check.name, *said, check.unit, Text(check.place))
     console.print(table)
+    for check in report.checks:
+        if not check.passed:
+            console.print(Text(f"next, for {check.name}: {check.next_step}"))
     console.print(Text(f"wrote {folder}"))

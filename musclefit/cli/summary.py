@@ -27,7 +27,8 @@ def print_run(report: Report, *, folder: Path) -> None:
     for row in compare(report):
         table.add_row(row.name, _cell(row.result), _cell(row.baseline), row.unit)
     console.print(table)
-    _print_failed(console, report.checks)
+    console.print(Text(f"limits {report.limits_in_words}"))
+    print_failed(console, report.checks)
     console.print(_said_written(folder))
 
 
@@ -46,7 +47,7 @@ def print_inspection(report: MeshReport, *, folder: Path | None) -> None:
         console.print(Text(f"  {pair.rest_mm3:12.4g} mm³  {pair.a} / {pair.b}"))
     if len(report.overlaps.pairs) > 20:
         console.print(Text(f"  ... and {len(report.overlaps.pairs) - 20} more, all in the report"))
-    _print_failed(console, report.checks)
+    print_failed(console, report.checks)
     if folder is not None:
         console.print(_said_written(folder))
 
@@ -81,12 +82,15 @@ def _mesh_claim(report: Report) -> str:
     return f"{told}; {done}, for {wrong}{stopped}"
 
 
-def _print_failed(console: Console, checks: tuple[Check, ...]) -> None:
+def print_failed(console: Console, checks: tuple[Check, ...]) -> None:
+    """Every failed check with its limit and place, and what to do next."""
     for check in checks:
         if not check.passed:
             place = f" ({check.place})" if check.place else ""
             value = "not measured" if math.isnan(check.value) else f"{check.value:.4g}"
-            console.print(Text(f"failed: {check.name} {value} {check.unit}, limit {check.limit:.4g}{place}"))
+            limit = f", limit {check.limit:.4g}" if check.limited else ""
+            console.print(Text(f"failed: {check.name} {value} {check.unit}{limit}{place}"))
+            console.print(Text(f"  next: {check.next_step}"))
 
 
 def _cell(cell: Cell | None) -> Text:

@@ -197,7 +197,7 @@ def run_sequence(
         resampling=plan.resampling,
         frames=summaries,
         between=_between(folder, summaries) if between else (),
-        limits={name: float(value) for name, value in settings_of(plan.job)["limits"].items()},
+        limits={k: None if v is None else float(v) for k, v in plan.job.rig.limits.numbers.items()},
         cpu_s={name: round(seconds, 2) for name, seconds in cpu_s.items()},
         provenance={
             "versions": versions(),

@@ -116,6 +116,7 @@ class Retargeting:
             provenance={"input_sha256": dict(self.job.hashes), "settings": settings_of(self.job)},
             tets=None if self.tets is None else tet_summary(self.tets),
             joint_ranges=self.joint_ranges,
+            purpose_because=self.job.rig.purpose_because,
         )
 
 

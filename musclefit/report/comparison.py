@@ -16,7 +16,7 @@ from musclefit.validate.model import TissueCheck
 class Cell:
     """One number of one method: NaN when it could not be measured, None when the run has no such thing.
 
-    ``passed`` holds it against its limit, None where there is none.
+    ``passed`` holds it against its limit, None where there is none and it could be measured.
     """
 
     value: float | None
@@ -82,6 +82,7 @@ _ROWS = (
     ("Overlaps", "pairs with either", "pairs"),
     ("Overlaps", "introduced outside skin", "mm³"),
     ("Bends", "bone off rigid", "mm"),
+    ("Bends", "free bone off rigid", "mm"),
     ("Shrinks", "muscle volume change", "%"),
     ("Shrinks", "muscle volume change, median", "%"),
     ("Arrives", "landmark error", "mm"),
@@ -92,7 +93,10 @@ _ROWS = (
 def _cells(side: Side, limits: Limits) -> dict[str, tuple[Cell, float | None]]:
     """Every row's cell and limit for one method."""
     cells: dict[str, tuple[Cell, float | None]] = {
-        check.name: (Cell(check.value, check.passed, check.place), check.limit)
+        check.name: (
+            Cell(check.value, None if check.passed and not check.limited else check.passed, check.place),
+            check.limit if check.limited else None,
+        )
         for check in checks_against(limits, side)
     }
     changes = [abs(t.volume_change_percent) for t in side.of_kind(TissueKind.MUSCLE)]
@@ -123,10 +127,12 @@ def _strain(tissue: TissueCheck, limits: Limits) -> float:
     return max(shares, default=0.0)
 
 
-def _share(value: float | None, limit: float) -> float:
-    """How much of the limit a value uses; infinite when missing."""
+def _share(value: float | None, limit: float | None) -> float:
+    """How much of the limit a value uses, nothing where there is none; infinite when missing."""
     size = _size(value)
-    return size if math.isinf(size) else size / max(limit, _NO_ROOM)
+    if math.isinf(size):
+        return size
+    return 0.0 if limit is None else size / max(limit, _NO_ROOM)
 
 
 def _size(value: float | None) -> float:

@@ -17,7 +17,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
-from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, checks_against
+from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, bone_limit, checks_against
 from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
 from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
 
@@ -111,9 +111,9 @@ def render_page(template: str, page: dict[str, Any]) -> str:
     return _render(template, page)
 
 
-def sentence(check: Check) -> str:
-    """One failed check in words."""
-    return _sentence(check)
+def sentence(check: Check) -> tuple[str, str]:
+    """One failed check in words, and what to do about it."""
+    return _sentence(check), check.next_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ def _shared(report: Report | MeshReport, *, remark: str) -> dict[str, Any]:
         "verdict": report.verdict,
         "checks": report.checks,
         "failed": failed,
-        "sentences": [_sentence(check) for check in failed],
+        "sentences": [(_sentence(check), check.next_step) for check in failed],
         "remark": remark,
         "total_seconds": math.fsum(report.timings_s.values()),
         "schema_version": SCHEMA_VERSION,
@@ -211,6 +211,8 @@ def _sentence(check: Check) -> str:
     if not check.unit and check.limit == 0 and check.value == 1:
         return f"{check.name}: {check.place}" if check.place else check.name
     where = f" ({check.place})" if check.place else ""
+    if not check.limited:
+        return f"{check.name}: {amount(check.value, check.unit)}{where}"
     return f"{check.name}: {amount(check.value, check.unit)}{where}; the limit is {amount(check.limit, check.unit)}"
 
 
@@ -230,10 +232,11 @@ def _tissue_rows(report: Report) -> list[_TissueRow]:
 def _off_limit(tissue: TissueCheck, report: Report) -> tuple[str, ...]:
     limits = report.limits
     off = []
-    if tissue.kind == TissueKind.MUSCLE and not abs(tissue.volume_change_percent) <= limits.muscle_volume_percent:
+    most = math.inf if limits.muscle_volume_percent is None else limits.muscle_volume_percent
+    if tissue.kind == TissueKind.MUSCLE and not abs(tissue.volume_change_percent) <= most:
         off.append("volume")
     if tissue.kind == TissueKind.BONE and (
-        tissue.rigidity_mm is None or not tissue.rigidity_mm <= limits.bone_rigidity_mm
+        tissue.rigidity_mm is None or not tissue.rigidity_mm <= bone_limit(report.result, tissue, limits)
     ):
         off.append("rigidity")
     outside = tissue.outside_skin_introduced_mm3

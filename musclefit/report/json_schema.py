@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from musclefit.report.model import SCHEMA_VERSION
+from musclefit.rig.model import Purpose
 from musclefit.validate.model import MapClaim, MeshClaim
 
 Schema = dict[str, Any]
@@ -19,6 +20,7 @@ def report_schema() -> Schema:
         "schema_version": {"const": SCHEMA_VERSION, "description": "Version of these keys and their meaning."},
         "title": _text("Title of the rig."),
         **side,
+        "limits": _limits(),
         "tets": {
             "description": "The tetrahedra at rest; null where none were made.",
             "oneOf": [_tets(), {"type": "null"}],
@@ -166,6 +168,27 @@ def _certificate_cost() -> Schema:
         "share": _number("The first over the second."),
     }
     return _record(properties, "Cost of the certificate.")
+
+
+def _limits() -> Schema:
+    properties = {
+        "purpose": {
+            "enum": [purpose.value for purpose in Purpose],
+            "description": "What the limits are for: another pose of the same body, or another body, whose bones and "
+            "muscles are told as measured unless the rig limits them.",
+        },
+        "because": _text("Why they are for this purpose."),
+        "landmark_mm": _number("Landmark error, mm."),
+        "bone_rigidity_mm": _number(
+            "Bone off rigid, mm; null for no limit, which bones that are held or kept have all the same."
+        ),
+        "muscle_volume_percent": _number("Muscle volume change, percent; null for no limit."),
+        "introduced_overlap_mm3": _number("Introduced overlap, mm³."),
+        "grown_overlap_mm3": _number("Grown overlap, mm³."),
+        "introduced_outside_skin_mm3": _number("Introduced volume outside the skin, mm³."),
+        "inverted_tets": _count("Inverted tetrahedra."),
+    }
+    return _record(properties, "What the result is held against.")
 
 
 def _run_properties() -> Schema:
@@ -378,6 +401,7 @@ def _checks() -> Schema:
         "unit": _text("Unit of value and limit; empty for yes (1) or no (0)."),
         "place": _text("Where the value was found; empty where there is no such place."),
         "passed": {"type": "boolean", "description": "Whether the value is a number at or below the limit."},
+        "next_step": _text("What to do where it fails: a key to set or a command to run."),
     }
     return _list(_record(properties, "One limit held against one number."), "All checks; every one must pass.")
 

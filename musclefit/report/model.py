@@ -11,7 +11,8 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.fits import TissueFit
 from musclefit.anatomy.model import TissueKind
 from musclefit.geometry.solids import ROUNDING_MM3
-from musclefit.rig.model import Limits
+from musclefit.report import next_steps
+from musclefit.rig.model import Limits, Purpose
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.model import (
     BoneFieldCheck,
@@ -26,12 +27,19 @@ from musclefit.validate.model import (
     PairOverlap,
     TissueCheck,
 )
+from musclefit.validate.tissues import PRESCRIBED
 
 SCHEMA_VERSION = 1
 """Version of the report's JSON; raised whenever a key changes its meaning or goes away."""
 
 CONVERGED = "converged"
 """The status of a run whose landmarks all arrived; every other text says how it ended early."""
+
+KEEPS_VOLUME = "isochoric"
+"""What the words for a method hold whose kernel keeps volume."""
+
+_FREE = {"bone_rigidity_mm": "how bones bend that nothing holds", "muscle_volume_percent": "the volume of muscles"}
+"""Limits that a purpose may leave out, in words."""
 
 Verdict = Literal["passed", "failed"]
 
@@ -136,6 +144,8 @@ class Report:
     findings : tuple of Finding
         What was found in the input; shown, but no part of the verdict.
     limits : Limits
+    purpose_because : str
+        Why the limits are for the purpose that they name.
     timings_s : mapping of stage name to seconds
     peak_memory_mb : float
     provenance : mapping
@@ -156,6 +166,16 @@ class Report:
     provenance: Mapping[str, Any]
     tets: TetSummary | None = None
     joint_ranges: tuple[JointRange, ...] = ()
+    purpose_because: str = ""
+
+    @property
+    def limits_in_words(self) -> str:
+        """What the limits are for, why, and what has none."""
+        purpose = {Purpose.POSING: "for another pose", Purpose.ANOTHER_BODY: "for another body"}[self.limits.purpose]
+        because = f", because {self.purpose_because}" if self.purpose_because else ""
+        free = [name for name, value in self.limits.numbers.items() if value is None]
+        none = f"; no limit on {' and '.join(_FREE[name] for name in free)}" if free else ""
+        return f"{purpose}{because}{none}"
 
     @property
     def checks(self) -> tuple[Check, ...]:
@@ -214,12 +234,12 @@ class MeshReport:
     @property
     def checks(self) -> tuple[Check, ...]:
         """The anatomy held against its limits."""
-        checks = [
-            _total("overlap", [(_pair(p), _volume(p.rest_mm3)) for p in self.overlaps.pairs], self.limits.overlap_mm3)
-        ]
+        shared = [(_pair(p), _volume(p.rest_mm3)) for p in self.overlaps.pairs]
+        checks = [_total("overlap", shared, self.limits.overlap_mm3, next_step=next_steps.REST_OVERLAP)]
         if any(t.kind == TissueKind.SKIN for t in self.tissues):
             outside = [(t.name, _volume(t.outside_skin_mm3)) for t in self.tissues if t.kind != TissueKind.SKIN]
-            checks.append(_total("outside skin", outside, self.limits.outside_skin_mm3))
+            limit = self.limits.outside_skin_mm3
+            checks.append(_total("outside skin", outside, limit, next_step=next_steps.REST_OUT_OF_SKIN))
         return (*checks, _all_checked(self.overlaps.not_checked))
 
     @property
@@ -260,28 +280,66 @@ def checks_against(limits: Limits, side: Side) -> tuple[Check, ...]:
         Each passes when its value is a number at or below its limit.
     """
     bones, muscles = side.of_kind(TissueKind.BONE), side.of_kind(TissueKind.MUSCLE)
+    ended = side.status == CONVERGED
+    late = next_steps.LANDMARKS_MISSED if ended else next_steps.LANDMARKS_LATE
     checks = [
-        Check("not converged", 0.0 if side.status == CONVERGED else 1.0, 0.0, "", side.status),
-        Check("landmark error", _finite(side.landmarks.max_error_mm), limits.landmark_mm, "mm", side.landmarks.worst),
+        Check("not converged", float(not ended), 0.0, "", side.status, next_step=next_steps.after_ending(side.status)),
+        Check(
+            "landmark error",
+            _finite(side.landmarks.max_error_mm),
+            limits.landmark_mm,
+            "mm",
+            side.landmarks.worst,
+            next_step=late,
+        ),
         *_map_checks(side.map),
     ]
     if side.mesh is not None:
         checks += _mesh_checks(side.mesh, limits)
     if bones:
-        bends = [(t.name, _measured(t.rigidity_mm)) for t in bones]
-        checks.append(_worst("bone off rigid", bends, limits.bone_rigidity_mm, unit="mm"))
+        checks += _bone_checks(side, bones, limits)
     if muscles:
         changes = [(t.name, abs(_measured(t.volume_change_percent))) for t in muscles]
-        checks.append(_worst("muscle volume change", changes, limits.muscle_volume_percent, unit="%"))
+        keeps = KEEPS_VOLUME in side.method
+        step = next_steps.MUSCLES_STILL_CHANGE if keeps else next_steps.MUSCLES_CHANGE
+        limit = _or_none(limits.muscle_volume_percent)
+        checks.append(_worst("muscle volume change", changes, limit, unit="%", next_step=step))
     apart, riding = _by_rest(side.overlaps.pairs)
-    checks.append(_total("introduced overlap", apart, limits.introduced_overlap_mm3))
+    checks.append(_total("introduced overlap", apart, limits.introduced_overlap_mm3, next_step=next_steps.NEW_OVERLAP))
     if riding:
-        checks.append(_total("grown overlap", riding, limits.grown_overlap_mm3))
+        checks.append(_total("grown overlap", riding, limits.grown_overlap_mm3, next_step=next_steps.MORE_OVERLAP))
     if side.of_kind(TissueKind.SKIN):
         inside = [t for t in side.tissues if t.kind != TissueKind.SKIN]
         outside = [(t.name, _volume(t.outside_skin_introduced_mm3)) for t in inside]
-        checks.append(_total("introduced outside skin", outside, limits.introduced_outside_skin_mm3))
+        limit = limits.introduced_outside_skin_mm3
+        checks.append(_total("introduced outside skin", outside, limit, next_step=next_steps.OUT_OF_SKIN))
     return (*checks, _all_checked(side.overlaps.not_checked))
+
+
+def bone_limit(side: Side, bone: TissueCheck, limits: Limits) -> float:
+    """How far a bone may be off rigid; infinite where nothing limits it."""
+    if limits.bone_rigidity_mm is not None:
+        return limits.bone_rigidity_mm
+    return limits.held_rigidity_mm if _is_held(side, bone) else math.inf
+
+
+def _is_held(side: Side, bone: TissueCheck) -> bool:
+    return side.bones is not None and bone.rigidity_reference == PRESCRIBED
+
+
+def _bone_checks(side: Side, bones: tuple[TissueCheck, ...], limits: Limits) -> list[Check]:
+    """How far bones are off a rigid motion; where others have no limit, those that are held or kept have theirs."""
+    driven = any(bone.rigidity_reference == PRESCRIBED for bone in bones)
+    step = next_steps.BONES_BEND if driven else next_steps.BONES_BEND_FREELY
+    step = next_steps.BONES_LEFT_OUT if side.bones is not None else step
+    by_limit: dict[float, list[tuple[str, float]]] = {}
+    for bone in bones:
+        by_limit.setdefault(bone_limit(side, bone, limits), []).append((bone.name, _measured(bone.rigidity_mm)))
+    names = ("bone off rigid", "free bone off rigid")  # the second only where the first has a limit and others none
+    return [
+        _worst(name, by_limit[limit], limit, unit="mm", next_step=step)
+        for name, limit in zip(names, sorted(by_limit), strict=False)
+    ]
 
 
 def absent(side: Side) -> tuple[str, ...]:
@@ -298,8 +356,15 @@ def _map_checks(found: MapCheck) -> list[Check]:
     place = "at rest: ({:.4g}, {:.4g}, {:.4g}) mm".format(*found.place_mm) if found.folded_points else ""
     refuted = found.claim is MapClaim.REFUTED
     return [
-        Check("folded points", float(found.folded_points) if tested else math.nan, 0.0, "points", place),
-        Check("map refuted", float(refuted), 0.0, "", found.rule if refuted else ""),
+        Check(
+            "folded points",
+            float(found.folded_points) if tested else math.nan,
+            0.0,
+            "points",
+            place,
+            next_step=next_steps.FOLDED,
+        ),
+        Check("map refuted", float(refuted), 0.0, "", found.rule if refuted else "", next_step=next_steps.REFUTED),
     ]
 
 
@@ -312,27 +377,33 @@ def _mesh_checks(found: MeshCheck, limits: Limits) -> list[Check]:
     cause = found.note if other_cause else ""
     return [
         Check(
-            "inverted tets", float(found.inverted) if measured else math.nan, float(limits.inverted_tets), "tets", worst
+            "inverted tets",
+            float(found.inverted) if measured else math.nan,
+            float(limits.inverted_tets),
+            "tets",
+            worst,
+            next_step=next_steps.after_inverted_tets(found),
         ),
-        Check("mesh refuted", float(other_cause), 0.0, "", cause),
+        Check("mesh refuted", float(other_cause), 0.0, "", cause, next_step=next_steps.MESH_REFUTED),
     ]
 
 
 def _all_checked(left: tuple[NotChecked, ...]) -> Check:
-    return Check("not checked", float(len(left)), 0.0, "items", left[0].what if left else "")
+    place = left[0].what if left else ""
+    return Check("not checked", float(len(left)), 0.0, "items", place, next_step=next_steps.UNCHECKED)
 
 
-def _worst(name: str, values: list[tuple[str, float]], limit: float, *, unit: str) -> Check:
+def _worst(name: str, values: list[tuple[str, float]], limit: float, *, unit: str, next_step: str) -> Check:
     """The largest of named values; one that is not a number is worse than any number."""
     place, value = max(values, key=lambda item: math.inf if math.isnan(item[1]) else item[1])
-    return Check(name, value, limit, unit, place)
+    return Check(name, value, limit, unit, place, next_step=next_step)
 
 
-def _total(name: str, volumes: list[tuple[str, float]], limit: float) -> Check:
+def _total(name: str, volumes: list[tuple[str, float]], limit: float, *, next_step: str) -> Check:
     """The sum of named volumes, mm³, placed at the largest."""
     total = math.fsum(volume for _, volume in volumes)
     place, largest = max(volumes, key=lambda item: math.inf if math.isnan(item[1]) else item[1], default=("", 0.0))
-    return Check(name, total, limit, "mm³", "" if largest == 0 else place)
+    return Check(name, total, limit, "mm³", "" if largest == 0 else place, next_step=next_step)
 
 
 def _by_rest(pairs: Iterable[PairOverlap]) -> tuple[list[tuple[str, float]], list[tuple[str, float]]]:
@@ -355,6 +426,11 @@ def _measured(value: float | None) -> float:
 def _volume(value: float | None) -> float:
     """An overlap volume, or NaN where it is missing, not finite or negative (a surface turned inside out)."""
     return value if value is not None and math.isfinite(value) and value >= 0 else math.nan
+
+
+def _or_none(limit: float | None) -> float:
+    """The limit, or one that no number breaks."""
+    return math.inf if limit is None else limit
 
 
 def _finite(value: float) -> float:

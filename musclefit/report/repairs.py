@@ -11,6 +11,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.repairs import Change, Deviation, Repaired, RepairSettings
 from musclefit.anatomy.resolving import PairResolution, Resolved, Rule, TissueCut
 from musclefit.geometry.faults import Faults
+from musclefit.report import next_steps
 from musclefit.report.model import SCHEMA_VERSION, Verdict, verdict_of
 from musclefit.report.schema import Json
 from musclefit.validate.model import Check, OverlapCheck
@@ -52,24 +53,38 @@ class RepairReport:
         invalid |= {cut.name: cut.after for cut in self.resolved.cuts if not cut.after.none} if self.resolved else {}
         far = max(self.surfaces, key=lambda s: s.deviation.largest_mm)
         checks = [
-            Check("surfaces that are not valid", float(len(invalid)), 0.0, "", ", ".join(list(invalid)[:4])),
-            Check("distance from the original", far.deviation.largest_mm, self.settings.limit_mm, "mm", far.name),
+            _none_of("surfaces that are not valid", len(invalid), ", ".join(list(invalid)[:4]), next_steps.NOT_VALID),
+            Check(
+                "distance from the original",
+                far.deviation.largest_mm,
+                self.settings.limit_mm,
+                "mm",
+                far.name,
+                next_step=next_steps.TOO_FAR,
+            ),
         ]
         if self.resolved is not None:
             left = self.resolved.left
             first = " / ".join(left[0]) if left else ""
-            checks.append(Check("pairs that still meet", float(len(left)), 0.0, "", first))
+            checks.append(_none_of("pairs that still meet", len(left), first, next_steps.STILL_MEET))
         if self.overlaps is not None:
             pairs, doubtful = self.overlaps.pairs, self.overlaps.not_checked
             volume = math.fsum(pair.rest_mm3 for pair in pairs)
-            checks.append(Check("overlap left", volume, 0.0, "mm³", f"{pairs[0].a} / {pairs[0].b}" if pairs else ""))
-            checks.append(Check("not checked", float(len(doubtful)), 0.0, "", doubtful[0].what if doubtful else ""))
+            most = f"{pairs[0].a} / {pairs[0].b}" if pairs else ""
+            checks.append(Check("overlap left", volume, 0.0, "mm³", most, next_step=next_steps.STILL_MEET))
+            unchecked = doubtful[0].what if doubtful else ""
+            checks.append(_none_of("not checked", len(doubtful), unchecked, next_steps.NOT_VALID))
         return tuple(checks)
 
     @property
     def verdict(self) -> Verdict:
         """Passed when every check passed."""
         return verdict_of(self.checks)
+
+
+def _none_of(name: str, count: int, place: str, next_step: str) -> Check:
+    """None of these may be left."""
+    return Check(name, float(count), 0.0, "", place, next_step=next_step)
 
 
 def repair_json(report: RepairReport) -> Json:

@@ -61,6 +61,7 @@ def to_json(report: Report | MeshReport) -> Json:
         "schema_version": SCHEMA_VERSION,
         "title": report.title,
         **_side(report.result, report.limits),
+        "limits": _limits(report),
         "tets": None if report.tets is None else _tets(report.tets),
         "joint_ranges": joint_ranges_to_json(report.joint_ranges),
         "findings": [_finding(f) for f in report.findings],
@@ -70,6 +71,12 @@ def to_json(report: Report | MeshReport) -> Json:
         "peak_memory_mb": _number(report.peak_memory_mb),
         "provenance": _plain(report.provenance, "provenance"),
     }
+
+
+def _limits(report: Report) -> Json:
+    """What the result is held against, and why these."""
+    numbers = {name: _number(value) for name, value in report.limits.numbers.items()}
+    return {"purpose": report.limits.purpose.value, "because": report.purpose_because, **numbers}
 
 
 def _certificate_cost(seconds: Mapping[str, float]) -> Json | None:
@@ -334,6 +341,7 @@ def _check(check: Check) -> Json:
         "unit": check.unit,
         "place": check.place,
         "passed": bool(check.passed),
+        "next_step": check.next_step,
     }
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
+from musclefit.report import next_steps
 from musclefit.report.model import Verdict, verdict_of
 from musclefit.validate.closer import Look, MeetingKind
 from musclefit.validate.model import Check, MapClaim
@@ -163,6 +164,7 @@ class SequenceReport:
     between : tuple of BetweenSummary
         One for each pair of consecutive frames; empty where that was not asked for.
     limits : mapping of limit to value
+        None for no limit.
     cpu_s : mapping of part to seconds
         Summed over all processes, of this run.
     provenance : mapping
@@ -172,7 +174,7 @@ class SequenceReport:
     resampling: str
     frames: tuple[FrameSummary, ...]
     between: tuple[BetweenSummary, ...]
-    limits: Mapping[str, float]
+    limits: Mapping[str, float | None]
     cpu_s: Mapping[str, float]
     provenance: Mapping[str, Any]
 
@@ -192,14 +194,14 @@ class SequenceReport:
         refused = [f for f in self.frames if f.outcome == REFUSED]
         failed = [f for f in self.frames if f.outcome == FAILED]
         checks = [
-            Check("refused frames", float(len(refused)), 0.0, "frames", refused[0].problem if refused else ""),
-            Check("failed frames", float(len(failed)), 0.0, "frames", failed[0].problem if failed else ""),
+            _frames_check("refused frames", refused, next_step=next_steps.POSE_REFUSED),
+            _frames_check("failed frames", failed, next_step=next_steps.FRAME_FAILED),
             *_worst_checks(self.made),
         ]
         off = [(f.off_rest_mm, _place(f)) for f in self.made if f.off_rest_mm is not None]
         if off:
             value, place = max(off)
-            checks.append(Check("rest pose off rest", value, REST_MM, "mm", place))
+            checks.append(Check("rest pose off rest", value, REST_MM, "mm", place, next_step=next_steps.OFF_REST))
         if self.between:
             checks += _between_checks(self.between)
         return tuple(checks)
@@ -276,9 +278,7 @@ def _worst_checks(frames: Sequence[FrameSummary]) -> list[Check]:
             known = worst.get(check.name)
             if known is None or _badness(check) > _badness(known):
                 place = _place(frame) + (f": {check.place}" if check.place else "")
-                worst[check.name] = Check(
-                    check.name, check.value, check.limit, check.unit, place if check.value else ""
-                )
+                worst[check.name] = replace(check, place=place if check.value else "")
     return list(worst.values())
 
 
@@ -289,19 +289,22 @@ def _badness(check: Check) -> float:
 def _between_checks(between: Sequence[BetweenSummary]) -> list[Check]:
     left = [b for b in between if b.problem]
     return [
-        _meeting_check("passed through between frames", between, MeetingKind.THROUGH),
-        _meeting_check("not settled between frames", between, MeetingKind.UNSETTLED),
+        _meeting_check(
+            "passed through between frames", between, MeetingKind.THROUGH, next_step=next_steps.PASSED_THROUGH
+        ),
+        _meeting_check("not settled between frames", between, MeetingKind.UNSETTLED, next_step=next_steps.NOT_SETTLED),
         Check(
             "not examined between frames",
             float(len(left)),
             0.0,
             "pairs of frames",
             f"frames {left[0].first} and {left[0].second}: {left[0].problem}" if left else "",
+            next_step=next_steps.NOT_EXAMINED,
         ),
     ]
 
 
-def _meeting_check(name: str, between: Sequence[BetweenSummary], kind: MeetingKind) -> Check:
+def _meeting_check(name: str, between: Sequence[BetweenSummary], kind: MeetingKind, *, next_step: str) -> Check:
     """None of the meetings may be of this kind."""
     found = [(b, passage) for b in between for passage in b.of_kind(kind)]
     place = ""
@@ -309,7 +312,13 @@ def _meeting_check(name: str, between: Sequence[BetweenSummary], kind: MeetingKi
         b, p = found[0]
         place = f"{p.a} / {p.b} at {p.time_s:.4g} s, between frames {b.first} and {b.second}"
         place += f": {p.note}" if p.note else ""
-    return Check(name, float(len(found)), 0.0, "pairs", place)
+    return Check(name, float(len(found)), 0.0, "pairs", place, next_step=next_step)
+
+
+def _frames_check(name: str, frames: Sequence[FrameSummary], *, next_step: str) -> Check:
+    """No frame may have ended so."""
+    problem = frames[0].problem if frames else ""
+    return Check(name, float(len(frames)), 0.0, "frames", problem, next_step=next_step)
 
 
 def _place(frame: FrameSummary) -> str:
@@ -317,7 +326,8 @@ def _place(frame: FrameSummary) -> str:
 
 
 def _check(said: Mapping[str, Any]) -> Check:
-    return Check(said["name"], _number(said["value"]), _number(said["limit"]), said["unit"], said["place"])
+    limit = math.inf if said["limit"] is None else float(said["limit"])
+    return Check(said["name"], _number(said["value"]), limit, said["unit"], said["place"], next_step=said["next_step"])
 
 
 def _number(value: float | None) -> float:
@@ -336,6 +346,7 @@ def _plain_check(check: Check) -> dict[str, Any]:
         "unit": check.unit,
         "place": check.place,
         "passed": check.passed,
+        "next_step": check.next_step,
     }
 
 

@@ -98,6 +98,13 @@ class BoneLimit(StrEnum):
     SIMILAR = "similar"
 
 
+class Purpose(StrEnum):
+    """What a deformation is for: another pose of the same body, or another body."""
+
+    POSING = "posing"
+    ANOTHER_BODY = "another-body"
+
+
 class CageCrossings(StrEnum):
     """What to do with a cage whose triangles cross each other."""
 
@@ -529,6 +536,10 @@ class MeshSettings:
             raise RigError(f"mesh.sliver_deg: found {self.sliver_deg}; expected an angle of 0 up to 60 degrees")
 
 
+HELD_RIGIDITY_MM = 0.01
+"""How far a bone that is held or kept may be off its rigid motion, whatever the purpose."""
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a run must keep to pass.
@@ -536,25 +547,39 @@ class Limits:
     ``introduced_overlap_mm3`` is for pairs that are apart at rest, ``grown_overlap_mm3`` for those that overlap at
     rest: what they share beyond that overlap carried along.
 
+    ``purpose`` decides what the limits of bones and muscles are where nobody says them: another body has other bones
+    and other muscles, so that these have none then (None), and are told as measured. Bones that are held or kept are
+    held against ``held_rigidity_mm`` all the same.
+
     Raises
     ------
     RigError
         A limit below 0 or not finite.
     """
 
+    purpose: Purpose = Purpose.POSING
     landmark_mm: float = 1e-6
-    bone_rigidity_mm: float = 0.01
-    muscle_volume_percent: float = 1.0
+    bone_rigidity_mm: float | None = 0.01
+    muscle_volume_percent: float | None = 1.0
     introduced_overlap_mm3: float = 1.0
     grown_overlap_mm3: float = 1.0
     introduced_outside_skin_mm3: float = 1.0
     inverted_tets: int = 0
 
     def __post_init__(self) -> None:
-        for limit in fields(self):
-            value = getattr(self, limit.name)
-            if not 0 <= value < math.inf:
-                raise RigError(f"limits.{limit.name}: found {value}; expected a finite limit of at least 0")
+        for name, value in self.numbers.items():
+            if value is not None and not 0 <= value < math.inf:
+                raise RigError(f"limits.{name}: found {value}; expected a finite limit of at least 0")
+
+    @property
+    def numbers(self) -> Mapping[str, float | None]:
+        """The limits by name; None for no limit."""
+        return {limit.name: getattr(self, limit.name) for limit in fields(self) if limit.name != "purpose"}
+
+    @property
+    def held_rigidity_mm(self) -> float:
+        """The limit of bones that are held or kept, which others may have none."""
+        return HELD_RIGIDITY_MM if self.bone_rigidity_mm is None else self.bone_rigidity_mm
 
 
 METHOD_SETTINGS: Mapping[Method, Mapping[str, tuple[object, ...]]] = MappingProxyType(
@@ -609,6 +634,8 @@ def _as_toml(value: object) -> str:
 class Rig:
     """Everything one run needs, as written in a rig file; paths are as resolved by the reader.
 
+    ``purpose_because`` says why the limits are for the purpose that they name.
+
     Raises
     ------
     RigError
@@ -626,6 +653,7 @@ class Rig:
     tets: TetSettings = field(default_factory=TetSettings)
     mesh: MeshSettings = field(default_factory=MeshSettings)
     limits: Limits = field(default_factory=Limits)
+    purpose_because: str = field(default="the rig says so", compare=False)
 
     def __post_init__(self) -> None:
         if not self.title.strip():
@@ -673,6 +701,23 @@ def default_path(drive: Drive, bones: BoneSettings) -> PathKind:
     """The path of a rig that names none: a chain where transforms, or landmarks of rigid bones, say bones' motions."""
     chained = isinstance(drive, TransformDrive) or (isinstance(drive, LandmarkDrive) and bones.rigid)
     return PathKind.CHAIN if chained else PathKind.STRAIGHT
+
+
+def default_purpose(drive: Drive, deformer: DeformerSettings, bones: BoneSettings) -> tuple[Purpose, str]:
+    """What a rig is for that does not say it, and why."""
+    if bones.rigid:
+        return Purpose.POSING, "bones are rigid"
+    if isinstance(drive, JointDrive | TransformDrive):
+        return Purpose.POSING, f"{'joints' if isinstance(drive, JointDrive) else 'transforms'} move the bones"
+    if isinstance(drive, SkeletonDrive):
+        return Purpose.POSING, "a skeleton drives"
+    if deformer.path is PathKind.SCREWS:
+        return Purpose.POSING, "bones go on screws"
+    handles = {LandmarkDrive: "landmarks", CageDrive: "a cage", LatticeDrive: "a lattice"}[type(drive)]
+    drives = "drive" if handles.endswith("s") else "drives"
+    if deformer.backend is BackendKind.RBF and deformer.kernel in (Kernel.ISOCHORIC_R3, Kernel.ISOCHORIC_R5):
+        return Purpose.POSING, f"{handles} {drives} by a kernel that keeps volume"
+    return Purpose.ANOTHER_BODY, f"{handles} {drives} by a field that may change volume"
 
 
 def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:

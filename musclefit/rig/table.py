@@ -32,6 +32,7 @@ from musclefit.rig.model import (
     MeshSettings,
     Method,
     PathKind,
+    Purpose,
     Rig,
     SkeletonDrive,
     StepKind,
@@ -39,6 +40,7 @@ from musclefit.rig.model import (
     TetSettings,
     TransformDrive,
     default_path,
+    default_purpose,
 )
 from musclefit.rig.section import Section, suggestion
 
@@ -144,9 +146,9 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     certificate = _record(CertificateSettings, _optional(root, "certificate"))
     tets = _record(TetSettings, _optional(root, "tets"))
     mesh = _record(MeshSettings, _optional(root, "mesh"))
-    limits = _record(Limits, _optional(root, "limits"))
+    limits, because = _limits(_optional(root, "limits"), default_purpose(drive, deformer, bones))
     try:
-        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, mesh, limits)
+        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, mesh, limits, because)
     except RigError as error:
         raise RigError(f"{source}: {error}") from None
 
@@ -271,6 +273,19 @@ def _deformer(section: Section, *, path: PathKind) -> DeformerSettings:
             "step_rule", f'has no effect on "{settings.step}" steps{of}, which have a rule of their own; remove it'
         )
     return settings
+
+
+def _limits(section: Section, default: tuple[Purpose, str]) -> tuple[Limits, str]:
+    """The limits and why they are for their purpose; numbers in the rig win over the purpose."""
+    limits, because = _record(Limits, section), "the rig says so"
+    if "purpose" not in section:
+        purpose, because = default
+        limits = replace(limits, purpose=purpose)
+    if limits.purpose is Purpose.ANOTHER_BODY and "bone_rigidity_mm" not in section:
+        limits = replace(limits, bone_rigidity_mm=None)
+    if limits.purpose is Purpose.ANOTHER_BODY and "muscle_volume_percent" not in section:
+        limits = replace(limits, muscle_volume_percent=None)
+    return limits, because
 
 
 def _optional(root: Section, key: str) -> Section:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 
@@ -253,15 +254,33 @@ class OutsideCheck:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One limit of the rig held against one number; ``place`` names where."""
+    """One limit held against one number; ``place`` names where, ``next_step`` what to do where it fails.
+
+    A limit of infinity is none: the number is told as measured, and fails only where it is no number.
+
+    Raises
+    ------
+    ValueError
+        A check that does not say what to do.
+    """
 
     name: str
     value: float
     limit: float
     unit: str
     place: str = ""
+    next_step: str = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not self.next_step.strip():
+            raise ValueError(f"the check {self.name!r} does not say what to do where it fails; give it a next_step")
 
     @property
     def passed(self) -> bool:
         """True when the value is a number within the limit."""
         return self.value <= self.limit
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is a limit to break."""
+        return self.limit < math.inf

@@ -54,7 +54,7 @@ def test_the_promised_keys_are_there(make_report, make_side):
     pair = {"a": "biceps", "b": "humerus", "rest_mm3": 2.0, "deformed_mm3": 2.5, "introduced_mm3": 0.25}
     assert found["overlaps"] == [pair]
     assert found["overlap_total"] == {"rest_mm3": 2.0, "deformed_mm3": 2.5, "introduced_mm3": 0.25}
-    assert set(found["checks"][0]) == {"name", "value", "limit", "unit", "place", "passed"}
+    assert set(found["checks"][0]) == {"name", "value", "limit", "unit", "place", "passed", "next_step"}
     assert found["baseline"]["verdict"] == "failed"
     assert set(found["baseline"]) == set(found) - {
         "schema_version",
@@ -63,6 +63,7 @@ def test_the_promised_keys_are_there(make_report, make_side):
         "baseline",
         "certificate_cost",
         "joint_ranges",
+        "limits",
         "tets",
         "timings_s",
         "peak_memory_mb",

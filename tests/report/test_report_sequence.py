@@ -35,8 +35,8 @@ def frame(number: int, landmark: float, *, gap: float | None = 0.5) -> FrameSumm
         outcome="made",
         problem="",
         checks=(
-            Check("landmark error", landmark, 1e-6, "mm", "knee_1"),
-            Check("bone off rigid", 0.002, 0.01, "mm", "femur"),
+            Check("landmark error", landmark, 1e-6, "mm", "knee_1", next_step="Wait."),
+            Check("bone off rigid", 0.002, 0.01, "mm", "femur", next_step="Hold it."),
         ),
         claim="certified",
         steps=4,

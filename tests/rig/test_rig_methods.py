@@ -275,3 +275,47 @@ def test_rigs_that_come_along_say_how_they_deform(rig: str, method: str) -> None
 
 def test_the_ten_lines_of_the_readme_are_read_as_they_stand() -> None:
     assert f"```toml{TEN_LINES}```" in (RIGS / "README.md").read_text(encoding="utf-8")
+
+
+# --- limits by purpose
+
+
+@pytest.mark.parametrize(
+    ("drive", "sections", "purpose", "because"),
+    [
+        ("joints", {}, "posing", "bones are rigid"),
+        ("joints", {"deformer": {"method": "yu2014"}}, "posing", "joints move the bones"),
+        ("transforms", {"deformer": {"method": "yu2014"}}, "posing", "transforms move the bones"),
+        ("landmarks", {}, "another-body", "landmarks drive by a field that may change volume"),
+        ("landmarks", {"deformer": {"backend": "ffd"}}, "another-body", "landmarks drive by a field that may change"),
+        ("landmarks", {"deformer": {"path": "screws"}}, "posing", "bones go on screws"),
+        ("landmarks", {"bones": {"rigid": True}}, "posing", "bones are rigid"),
+        (
+            "landmarks",
+            {"deformer": {"kernel": "isochoric-r3", "step": "cayley"}},
+            "posing",
+            "landmarks drive by a kernel that keeps volume",
+        ),
+        ("cage", {}, "another-body", "a cage drives by a field that may change volume"),
+        ("cage", {"limits": {"purpose": "posing"}}, "posing", "the rig says so"),
+        ("joints", {"limits": {"purpose": "another-body"}}, "another-body", "the rig says so"),
+    ],
+)
+def test_limits_are_for_a_purpose_that_follows_from_the_drive(
+    drive: str, sections: dict[str, Any], purpose: str, because: str
+) -> None:
+    rig = parsed(drive, **sections)
+    assert rig.limits.purpose == purpose
+    assert rig.purpose_because.startswith(because)
+    free = purpose == "another-body"
+    assert (rig.limits.bone_rigidity_mm, rig.limits.muscle_volume_percent) == ((None, None) if free else (0.01, 1.0))
+    assert rig.limits.held_rigidity_mm == 0.01
+    assert rig.limits.introduced_overlap_mm3 == 1.0
+
+
+def test_numbers_in_the_rig_win_over_its_purpose() -> None:
+    rig = parsed("cage", limits={"bone_rigidity_mm": 5})
+    assert (rig.limits.bone_rigidity_mm, rig.limits.muscle_volume_percent) == (5.0, None)
+    assert rig.limits.held_rigidity_mm == 5.0
+    both = overridden(table("cage"), "limits.muscle_volume_percent=50", "limits.purpose=another-body")
+    assert (both.limits.bone_rigidity_mm, both.limits.muscle_volume_percent) == (None, 50.0)

@@ -24,6 +24,7 @@ from musclefit.rig.model import (
     LandmarkDrive,
     Limits,
     PathKind,
+    Purpose,
     Rig,
     StepRule,
     TestedAt,
@@ -107,7 +108,12 @@ def test_a_full_table_is_read_key_by_key() -> None:
 
 def test_what_is_left_out_has_the_defaults_of_the_records() -> None:
     rig = parse_rig(landmark_table(), source="r.toml")
-    assert rig == Rig("t", AnatomySource(files=("a.ply",)), LandmarkDrive(source="p.csv"))
+    assert rig == Rig(
+        "t",
+        AnatomySource(files=("a.ply",)),
+        LandmarkDrive(source="p.csv"),
+        limits=Limits(Purpose.ANOTHER_BODY, bone_rigidity_mm=None, muscle_volume_percent=None),
+    )
 
 
 def test_a_cage_is_read() -> None:

@@ -39,7 +39,7 @@ SLIP_PASSES = 2
 MORE_ITERATIONS = 0.5
 """Of each such pass, as a share of those of the first fit."""
 
-ACROSS_BONE = 2.0
+ACROSS_BONE = 0.5
 """Root of how much more a field that misses bones counts across their surface than along it: across, tissue would lose
 volume to the bone; along, it only shears."""
 

@@ -52,7 +52,7 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
-LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.5, 2.5, 4.0
+LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.4, 2.0, 4.0
 """Of what locks the field to bones: spacing of the weights' lattice, where weights have faded, and how close bones that
 move otherwise may come before neither is locked there."""
 

@@ -83,9 +83,9 @@ def bent():
         iterations=40,
         locks=BoneLocks.around(
             [TriMesh.together([ANATOMY[bone].surface for bone in group.bones]) for group in GROUPS],
-            spacing_mm=0.5,
-            fade_mm=2.5,
-            gap_mm=2.0,
+            spacing_mm=0.4,
+            fade_mm=2.0,
+            gap_mm=4.0,
         ),
     )
     return stepper, path, march(stepper, rule=cayley_fractions, tested=ANATOMY.vertices(), pace=Pace(50, 3)).require()

@@ -6,9 +6,11 @@ It takes settings and gives records whose values are in range; it knows neither 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from itertools import pairwise
+from types import MappingProxyType
 
 from musclefit.anatomy.layers import Gaps
 from musclefit.anatomy.model import TissueKind
@@ -28,6 +30,14 @@ class Unit(StrEnum):
     def in_mm(self) -> float:
         """How many mm one of this unit is."""
         return {Unit.MILLIMETRE: 1.0, Unit.CENTIMETRE: 10.0, Unit.METRE: 1000.0}[self]
+
+
+class Method(StrEnum):
+    """A way to deform by its name, which stands for several settings; ``OWN`` is what the settings say one by one."""
+
+    OWN = "own"
+    YU2014 = "yu2014"
+    RIGID_BONES = "rigid-bones"
 
 
 class BackendKind(StrEnum):
@@ -298,6 +308,7 @@ Drive = LandmarkDrive | JointDrive | TransformDrive | CageDrive | SkeletonDrive 
 class DeformerSettings:
     """Which field, which steps, how many.
 
+    ``method`` names the method that the other settings, and those of the bones, make up; see `METHOD_SETTINGS`.
     The path is cut into at least ``min_steps`` stretches, and into so many that in none a joint turns by more than
     ``degrees_per_step``; no step uses more than ``limit_share`` of its rule's limit, and an implicit one keeps at least
     ``margin_floor`` of it: where it kept next to nothing, other points between those tested are likely to fail.
@@ -312,6 +323,7 @@ class DeformerSettings:
         a floor that is not in [0, 1), an angle that is not in (0, 360], or a spacing that is not positive and finite.
     """
 
+    method: Method = Method.OWN
     backend: BackendKind = BackendKind.RBF
     kernel: Kernel = Kernel.R2_LOG_R
     step: StepKind = StepKind.EXPLICIT
@@ -545,6 +557,54 @@ class Limits:
                 raise RigError(f"limits.{limit.name}: found {value}; expected a finite limit of at least 0")
 
 
+METHOD_SETTINGS: Mapping[Method, Mapping[str, tuple[object, ...]]] = MappingProxyType(
+    {
+        Method.OWN: MappingProxyType({}),
+        Method.YU2014: MappingProxyType(
+            {
+                "deformer.backend": (BackendKind.RBF,),
+                "deformer.kernel": (Kernel.R2_LOG_R, Kernel.R, Kernel.R3),
+                "deformer.step": (StepKind.EXPLICIT,),
+                "deformer.step_rule": (StepRule.ROW_NORM,),
+                "deformer.path": (PathKind.STRAIGHT,),
+                "bones.rigid": (False,),
+                "bones.keep_rigid": ((),),
+                "bones.keep_similar": ((),),
+            }
+        ),
+        Method.RIGID_BONES: MappingProxyType(
+            {
+                "deformer.backend": (BackendKind.RBF, BackendKind.FFD),
+                "deformer.step": (StepKind.CAYLEY,),
+                "deformer.tested_at": (TestedAt.ALL_POINTS,),
+                "deformer.path": (PathKind.JOINTS, PathKind.CHAIN, PathKind.SCREWS),
+                "deformer.smoothing": (0.0,),
+                "bones.rigid": (True,),
+            }
+        ),
+    }
+)
+"""What a method's settings may be; all others are free."""
+
+
+def require_method(method: Method, values: Mapping[str, object]) -> None:
+    """Raise RigError at the first of some settings, by their dotted keys, that is not the method's."""
+    for key, allowed in METHOD_SETTINGS[method].items():
+        if key in values and values[key] not in allowed:
+            either = " or ".join(_as_toml(value) for value in allowed)
+            raise RigError(
+                f'deformer.method: "{method}" and {key} = {_as_toml(values[key])} exclude each other, the method has '
+                f"{either}; change {key} or the method"
+            )
+
+
+def _as_toml(value: object) -> str:
+    """A setting as a rig writes it."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_as_toml(item) for item in value)}]"
+    return f'"{value}"' if isinstance(value, str) else str(value).lower()
+
+
 @dataclass(frozen=True, slots=True)
 class Rig:
     """Everything one run needs, as written in a rig file; paths are as resolved by the reader.
@@ -552,7 +612,8 @@ class Rig:
     Raises
     ------
     RigError
-        No title, or handles that shall follow joints where no joint drives.
+        No title, settings that are not those of the method named, or handles that shall follow joints where no joint
+        drives.
     """
 
     title: str
@@ -603,6 +664,9 @@ class Rig:
             )
         if self.bones.rigid:
             _require_rigid_bones(self.drive, self.deformer)
+        dotted = (key.partition(".") for key in METHOD_SETTINGS[self.deformer.method])
+        settings = {f"{part}.{name}": getattr(getattr(self, part), name) for part, _, name in dotted}
+        require_method(self.deformer.method, settings)
 
 
 def default_path(drive: Drive, bones: BoneSettings) -> PathKind:

@@ -16,6 +16,7 @@ from typing import Any, TypeVar, get_type_hints
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
 from musclefit.rig.keyframes import PlaceKey, PoseKey
+from musclefit.rig.methods import settle, with_method
 from musclefit.rig.model import (
     AnatomySource,
     BackendKind,
@@ -29,6 +30,7 @@ from musclefit.rig.model import (
     LatticeDrive,
     Limits,
     MeshSettings,
+    Method,
     PathKind,
     Rig,
     SkeletonDrive,
@@ -122,7 +124,7 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
         A key or section that does not exist, a value of another type, out of range or not among the allowed, a key that
         would have no effect, or a key that is missing. The message starts with the file and the dotted key.
     """
-    root = Section(table, source)
+    root = Section(with_method(table, source=source), source)
     root.refuse_unknown(
         ("title", "anatomy", "drive", "deformer", "bones", "surfaces", "certificate", "tets", "mesh", "limits")
     )
@@ -182,6 +184,7 @@ def apply_overrides(table: Mapping[str, Any], overrides: Sequence[str], *, sourc
             if not isinstance(inner, dict):
                 raise RigError(f"{where}: {part} is not a table in the file; correct the file")
         inner[path[-1]] = value
+    settle(table, changed, {override.partition("=")[0].strip() for override in overrides})
     _leave_other_backends(changed, overrides)
     return changed
 
@@ -263,8 +266,9 @@ def _deformer(section: Section, *, path: PathKind) -> DeformerSettings:
         if key in section:
             raise section.error(key, f'has no effect on backend "{settings.backend}"; remove it')
     if settings.step is not StepKind.EXPLICIT and "step_rule" in section:
+        of = "" if settings.method is Method.OWN else f' (of deformer.method "{settings.method}")'
         raise section.error(
-            "step_rule", f'has no effect on "{settings.step}" steps, which have a rule of their own; remove it'
+            "step_rule", f'has no effect on "{settings.step}" steps{of}, which have a rule of their own; remove it'
         )
     return settings
 

@@ -336,7 +336,7 @@ def test_overrides_may_add_sections_and_whole_lists() -> None:
         ("deformer.kernal=r3", "arm.toml: --set deformer.kernal=r3: unknown key 'deformer.kernal'; did you mean 'defo"),
         ("kernel=r3", "arm.toml: --set kernel=r3: unknown key 'kernel'; "),
         ("=3", "arm.toml: --set =3: unknown key ''"),
-        ("deformer=3", "arm.toml: --set deformer=3: deformer is a section; set one of its keys: deformer.backend"),
+        ("deformer=3", "arm.toml: --set deformer=3: deformer is a section; set one of its keys: deformer.method"),
         ("drive.pose.=3", r"arm.toml: --set drive.pose.=3: unknown key 'drive.pose.'; did you mean 'drive.pose'"),
         ("title='open", "arm.toml: --set title='open: the value is no TOML: "),
         ("deformer.max_steps=", "arm.toml: --set deformer.max_steps=: the value is no TOML"),

@@ -337,6 +337,7 @@ class LockedField:
                 total += found[:, None, None] * turned + apart[:, :, None] * steepness[:, None, :]
                 length = np.linalg.norm(apart, axis=1) + rounding.max(axis=1, initial=0.0)
                 varied = np.maximum(ranges[k, :, 1] - found, found - ranges[k, :, 0])
+                varied = np.minimum(varied, ranges[k, :, 2] * reach + 1e-14)
                 off += varied * size + _times((size + wide) * reach, ranges[k, :, 2]) + length * ranges[k, :, 3]
                 scale = np.abs(places).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
                 off += _times(rounding.max(axis=1, initial=0.0) + ROUNDING * scale, ranges[k, :, 2])

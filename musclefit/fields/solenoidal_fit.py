@@ -73,7 +73,7 @@ class SolenoidalBackend:
         ----------
         at, displacements : (m, 3) float64, mm
         slip_normals : (s, 3) float64
-            Normals of the last s points: what is missed along one counts as the square of its length.
+            Unit normals of the last s points.
         on : tuple of PotentialLevel
             The lattices; their coefficients are not looked at.
         iterations : int
@@ -128,7 +128,6 @@ class _Problem:
 
     def backward(self, values: Points) -> list[Float]:
         parts = []
-        values = self.seen(values)  # the transpose of what was seen
         for level, scale in zip(self.levels, self.scales, strict=True):
             out = np.zeros_like(level.coefficients)
             potentials.curl_spread(level.low, level.spacing_mm, level.numbers, self.at, values, out)

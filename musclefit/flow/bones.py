@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import igl
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -21,7 +20,7 @@ from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.locks import BoneLocks, Stand
 from musclefit.flow.steppers import HandleStepper, StepMaker
-from musclefit.flow.steps import CayleyStep
+from musclefit.flow.steps import CayleyStep, Step
 from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.distances import nearest_places, smooth_normals
 from musclefit.geometry.meshes import TriMesh
@@ -38,10 +37,6 @@ SLIP_PASSES = 2
 
 MORE_ITERATIONS = 0.5
 """Of each such pass, as a share of those of the first fit."""
-
-ACROSS_BONE = 2.0
-"""Root of how much more a field that misses bones counts across their surface than along it: across, tissue would lose
-volume to the bone; along, it only shears."""
 
 EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
 """Of the exact handles: conjugate gradients, started anew for what rounding left over, until they are met to this."""
@@ -80,13 +75,6 @@ class RigidGroup:
     def exposed(self) -> Points:
         """(e, 3) vertices outside the contact zone, at rest, mm."""
         return self.surface.vertices[~self.contact]
-
-    @property
-    def normals(self) -> Points:
-        """(v, 3) outward unit normals of the surface's vertices at rest; 0 where triangles leave none."""
-        found = igl.per_vertex_normals(np.array(self.surface.vertices), np.array(self.surface.faces))
-        normals: Points = np.nan_to_num(np.asarray(found))
-        return normals
 
     def at(self, motions: Mapping[str, RigidMotion]) -> TriMesh:
         """The surface where the motions take it."""
@@ -156,11 +144,10 @@ class BoneStepper:
     """One step per stretch, of a field in two parts: the handles' radial sum, and a local part that holds the bones.
 
     The local part is the curl of a B-spline potential on lattices around the bones, so that it has no divergence. It
-    takes what the radial part leaves of the rigid motions of the bones' exposed vertices, in the least squares sense,
-    and the exact handles to the last digit. What it still misses, locks take: on the bones' surfaces and around them
-    the field is their rigid motion. So bones are where they belong after every stretch, and each starts from there. In
-    the contact zone two bones slide past each other closer than any tissue between them could follow: there only the
-    part along the bone's normal is held, and the field may slip.
+    takes what the radial part leaves of the rigid motions of the bones' exposed vertices (`held_points`), in the least
+    squares sense, and the exact handles to the last digit. Each stretch starts from where the stretches before took the
+    held points, so that errors do not add up. In the contact zone two bones slide past each other closer than any
+    tissue between them could follow: there only the part along the bone's normal is held, and the field may slip.
 
     Parameters
     ----------
@@ -174,8 +161,9 @@ class BoneStepper:
         Spacings of the local part's lattices.
     iterations : int
         Of the first fit of the local part, from nothing.
-    locks : BoneLocks
-        Of the groups, in their order.
+    locks : BoneLocks or None
+        Of the groups, in their order: on the bones' surfaces and around them the field of every step is then their
+        rigid motion, so that they are where they belong after every stretch, and each stretch starts from there.
     """
 
     handles: HandleStepper
@@ -184,37 +172,58 @@ class BoneStepper:
     exact: int
     lattices_mm: Sequence[float]
     iterations: int
-    locks: BoneLocks
+    locks: BoneLocks | None = None
+
+    def held_points(self) -> Points:
+        """(h, 3) points at rest that a march must have as its last tested points, mm; none where bones are locked."""
+        if self.locks is not None:
+            return np.zeros((0, 3))
+        return np.concatenate([self.handles.path.position(0.0)[: self.exact], *(g.exposed for g in self.groups)])
 
     @property
     def shortens_exactly(self) -> bool:
         """False: bones move on curves."""
         return False
 
-    def anchors(self, start: float) -> Points:  # noqa: ARG002
-        """None."""
-        return np.zeros((0, 3))
+    def anchors(self, start: float) -> Points:
+        """(a, 3) vertices of the contact zones, exactly on their bones at the start; none where locked."""
+        return self._slipping(start) if self.locks is None else np.zeros((0, 3))
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The one step."""
-        return (lambda _tested, _anchors: self.step(start, end),)
+        if self.locks is not None:
+            locks = self.locks
+            return (lambda _tested, _anchors: self._locked_step(locks, start, end),)
 
-    def step(self, start: float, end: float) -> CayleyStep:
-        """The step from one moment to another, which depends on nothing else."""
+        def make(tested: Points, anchors: Points) -> Step:
+            surfaces = self._surfaces(end)
+            exposed = [s.vertices[~g.contact] for g, s in zip(self.groups, surfaces, strict=True)]
+            here, there = self.handles.path.position(start), self.handles.path.position(end)
+            targets = np.concatenate([there[: self.exact], *exposed])
+            held = tested[-len(targets) :]
+            here[: self.exact] = held[: self.exact]
+            radial = self._radial(here, there)
+            local = self._local(radial, held, targets, anchors, start=start, end=end)
+            exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
+            return CayleyStep(_exact_at(exact, moves, CorrectedField(radial, local)))
+
+        return (make,)
+
+    def _locked_step(self, locks: BoneLocks, start: float, end: float) -> CayleyStep:
+        """The step between two moments, with bones exactly where they stand at both; it depends on nothing else."""
         here, there = self.handles.path.position(start), self.handles.path.position(end)
         held = np.concatenate([here[: self.exact], *self._exposed(start)])
         targets = np.concatenate([there[: self.exact], *self._exposed(end)])
         radial = self._radial(here, there)
         local = self._local(radial, held, targets, self._slipping(start), start=start, end=end)
-        locks = self.locks.of_step(self._stands(start), self._stands(end))
-        field = LockedField(CorrectedField(radial, local), locks)
+        base = CorrectedField(radial, local)
+        field = LockedField(base, locks.of_step(self._stands(start), self._stands(end)))
         exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
         free = ~field.locked(exact)  # the others are carried by their bones, which are exact
-        return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], CorrectedField(radial, local))))
+        return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], base)))
 
     def _exposed(self, t: float) -> list[Points]:
-        motions = self.motions.at(t)
-        return [motions[g.bones[0]](g.exposed) for g in self.groups]
+        return [s.vertices[~g.contact] for g, s in zip(self.groups, self._surfaces(t), strict=True)]
 
     def _stands(self, t: float) -> list[Stand]:
         motions = self.motions.at(t)
@@ -237,8 +246,6 @@ class BoneStepper:
         middles = 0.5 * np.concatenate([held + targets, anchors + places])
         backend = SolenoidalBackend(MISSED_MM)
         local = backend.at_rest(middles, spacings_mm=self.lattices_mm)
-        outward = ACROSS_BONE * self._exposed_normals(start, end)
-        on_bones = slice(len(held) - len(outward), len(held))
         for number in range(1 + SLIP_PASSES):
             if number:
                 slipped = CayleyStep(CorrectedField(radial, local))(anchors)
@@ -246,23 +253,14 @@ class BoneStepper:
             at = 0.5 * np.concatenate([held + targets, anchors + places])
             left = np.concatenate([targets - held, places - anchors]) - CorrectedField(radial, local).displacement(at)
             more = backend.fit(
-                np.concatenate([at[: len(held)], at[on_bones], at[len(held) :]]),
-                np.concatenate([left[: len(held)], left[on_bones], left[len(held) :]]),
-                slip_normals=np.concatenate([outward, self._half_way(normals, start=start, end=end)]),
+                at,
+                left,
+                slip_normals=self._half_way(normals, start=start, end=end),
                 on=local.levels,
                 iterations=math.ceil(MORE_ITERATIONS * self.iterations) if number else self.iterations,
             )
             local = local.plus(more)
         return local
-
-    def _exposed_normals(self, start: float, end: float) -> Points:
-        """Of the exposed vertices, in the middle of a stretch."""
-        stands = zip(self.groups, self._stands(start), self._stands(end), strict=True)
-        turned = [g.normals[~g.contact] @ np.linalg.inv(a.half_way(b).linear) for g, a, b in stands]
-        normals = np.concatenate([np.zeros((0, 3)), *turned])
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        unit: Points = normals / np.where(lengths > 0.0, lengths, 1.0)
-        return unit
 
     def _surfaces(self, t: float) -> list[TriMesh]:
         motions = self.motions.at(t)

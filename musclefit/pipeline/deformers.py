@@ -52,7 +52,7 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
-LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.5, 2.5, 4.0
+LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.4, 2.0, 4.0
 """Of what locks the field to bones: spacing of the weights' lattice, where weights have faded, and how close bones that
 move otherwise may come before neither is locked there."""
 
@@ -118,7 +118,8 @@ def march_of(job: Job, points: Points, *, progress: Progress) -> tuple[Marching 
     pace = Pace(settings.max_steps, least_steps(job), settings.share, job.stops)
     if job.rig.bones.rigid:
         stepper = _bone_stepper(job)
-        march = Marching.begun(stepper, rule=rule, tested=points, pace=pace)
+        held = stepper.held_points()
+        march = Marching.begun(stepper, rule=rule, tested=np.vstack([points, held]), pace=pace, held=len(held))
         return march.marched(progress), tuple(stepper.groups)
     everywhere = settings.tested_at is TestedAt.ALL_POINTS
     tested = points if everywhere else points_beside(job.handles.source)
@@ -269,12 +270,17 @@ def _bone_stepper(job: Job) -> BoneStepper:
         exact=len(job.handles),
         lattices_mm=bones.lattices_mm,
         iterations=bones.iterations,
-        locks=BoneLocks.around(
-            [_bone_surface(job.anatomy, group.bones) for group in groups],
-            spacing_mm=LOCK_SPACING_MM,
-            fade_mm=LOCK_FADE_MM,
-            gap_mm=LOCK_GAP_MM,
-        ),
+        locks=_locks(job.anatomy, groups) if bones.lock else None,
+    )
+
+
+def _locks(anatomy: Anatomy, groups: Sequence[RigidGroup]) -> BoneLocks:
+    """What locks the field to groups of bones."""
+    return BoneLocks.around(
+        [_bone_surface(anatomy, group.bones) for group in groups],
+        spacing_mm=LOCK_SPACING_MM,
+        fade_mm=LOCK_FADE_MM,
+        gap_mm=LOCK_GAP_MM,
     )
 
 

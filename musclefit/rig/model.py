@@ -384,6 +384,7 @@ class BoneSettings:
     ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones,
     ``kept_lattices_mm`` those of the corrections that hold kept ones, wide to narrow. Places of a bone that come closer
     than ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along it.
+    ``lock`` makes the field exactly a rigid bone's motion on its whole surface (`musclefit.fields.locked`).
 
     Where no joint moves them, ``keep_rigid`` and ``keep_similar`` name bones (or shell-style patterns) that may only
     move rigidly, or only move and change their size: each gets the motion that fits the map best, and the field is
@@ -401,6 +402,7 @@ class BoneSettings:
     iterations: int = 40
     kept_lattices_mm: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
     contact_zone_mm: float = 4.0
+    lock: bool = False
     keep_rigid: tuple[str, ...] = ()
     keep_similar: tuple[str, ...] = ()
 
@@ -410,6 +412,10 @@ class BoneSettings:
             raise RigError(
                 "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones already; "
                 "remove them"
+            )
+        if self.lock and not self.rigid:
+            raise RigError(
+                "bones.lock: locks the field to rigid bones, but bones.rigid is false; set it or remove lock"
             )
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
         widths = {"lattices_mm": self.lattices_mm, "kept_lattices_mm": self.kept_lattices_mm}

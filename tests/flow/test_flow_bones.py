@@ -12,6 +12,7 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, contact_residuals, exposed_residuals, rigid_groups
 from musclefit.flow.deformation import Status
+from musclefit.flow.locks import BoneLocks, surface_grid
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
@@ -69,8 +70,16 @@ def on_the_rods() -> Handles:
     return Handles(tuple(f"h{k}" for k in range(len(source))), source, owner)
 
 
-@pytest.fixture(scope="module")
-def bent():
+LOCKS = BoneLocks.around(
+    [TriMesh.together([ANATOMY[bone].surface for bone in group.bones]) for group in GROUPS],
+    spacing_mm=0.4,
+    fade_mm=2.0,
+    gap_mm=4.0,
+)
+
+
+@pytest.fixture(scope="module", params=[None, LOCKS], ids=["fitted", "locked"])
+def bent(request):
     handles = on_the_rods()
     path = BonePath(handles, MOTIONS)
     stepper = BoneStepper(
@@ -80,6 +89,7 @@ def bent():
         exact=5,
         lattices_mm=(6.0, 3.0, 1.5),
         iterations=40,
+        locks=request.param,
     )
     tested = np.vstack([ANATOMY.vertices(), stepper.held_points()])
     return stepper, path, march(stepper, rule=cayley_fractions, tested=tested, pace=Pace(50, 3)).require()
@@ -101,11 +111,15 @@ def test_the_contact_zone_is_where_the_groups_come_close():
 
 
 def test_the_field_follows_the_bones(bent):
-    _, path, deformation = bent
+    stepper, path, deformation = bent
     assert deformation.status is Status.CONVERGED
     residuals = exposed_residuals(GROUPS, deformation, MOTIONS.at(1.0))
     assert np.quantile(residuals, 0.99) < 0.04
     assert residuals.max() < 0.3
+    away = surface_grid(ANATOMY["bone_lower"].surface, spacing_mm=0.3)
+    away = away[away[:, 2] < -8.0]
+    off = np.abs(deformation(away) - MOTIONS.at(1.0)["bone_lower"](away)).max()
+    assert (off < 1e-9) == (stepper.locks is not None)
     first = path.handles.source[:5]
     np.testing.assert_allclose(deformation(first), path.position(1.0)[:5], rtol=0, atol=1e-9)
 

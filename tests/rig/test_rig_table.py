@@ -17,6 +17,7 @@ from musclefit.errors import RigError
 from musclefit.fields.kernels import KERNELS
 from musclefit.rig.model import (
     AnatomySource,
+    BoneSettings,
     CageDrive,
     DeformerSettings,
     JointDrive,
@@ -435,3 +436,8 @@ def test_keys_of_the_other_backend_are_errors(backend: str, key: str, value: str
     table = apply_overrides(rig_table(), [f"deformer.backend={backend}", f"deformer.{key}={value}"], source="r.toml")
     with pytest.raises(RigError, match=f'r.toml: deformer.{key}: has no effect on backend "{backend}"; remove it'):
         parse_rig(table, source="r.toml")
+
+
+def test_a_lock_without_rigid_bones_is_refused():
+    with pytest.raises(RigError, match=r"bones\.lock: locks rigid bones, but bones\.rigid is false"):
+        BoneSettings(lock=True)

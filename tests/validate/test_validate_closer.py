@@ -217,13 +217,13 @@ def test_an_overlap_that_finer_triangles_take_away_is_not_believed(share: float,
 
 
 def test_open_surfaces_are_judged_by_what_crosses_and_that_is_said() -> None:
-    whole = ball((-40, 0, 0))
-    way = straight((80, 0, 0))
-    passage = Passage(A, B, 0.3, np.nan, np.nan)
-    # Half way the balls coincide: their surfaces must cross there, so the first goes a little beside.
-    beside = two(TriMesh(whole.vertices + np.array([0.0, 3.0, 0.0]), whole.faces[1:]), ball((0, 0, 0)))
-    assert looked_at(passage, beside, Poses(beside, way)).kind is MeetingKind.THROUGH
-    far = two(TriMesh(whole.vertices + np.array([0.0, 30.0, 0.0]), whole.faces[1:]), ball((0, 0, 0)))
-    found = looked_at(passage, far, Poses(far, way))
+    way, passage = straight((80, 0, 0)), Passage(A, B, 0.3, np.nan, np.nan)
+
+    def open_ball(beside_mm: float) -> Anatomy:
+        whole = ball((-40, beside_mm, 0))
+        return two(TriMesh(whole.vertices, whole.faces[1:]), ball((0, 0, 0)))
+
+    assert looked_at(passage, open_ball(3), Poses(open_ball(3), way)).kind is MeetingKind.THROUGH
+    found = looked_at(passage, open_ball(30), Poses(open_ball(30), way))
     assert found.kind is MeetingKind.GRAZE
     assert "no solid" in found.note

@@ -1,0 +1,130 @@
+"""Fields locked to bones: affine on the whole surface; derivatives, inverse, proved bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from musclefit.certify.maps import certify_map
+from musclefit.errors import FieldError
+from musclefit.fields.locked import Lock, LockedField, WeightLattice
+from musclefit.fields.rbf import RadialBackend
+from musclefit.flow.locks import BoneDistances, BoneLocks, Stand, surface_grid
+from musclefit.flow.steps import CayleyStep
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.rigid import RigidMotion
+from musclefit.rig.model import StepKind
+from musclefit.validate.model import MapClaim
+
+
+def ball(centre: tuple[float, float, float], radii: tuple[float, float, float]) -> TriMesh:
+    mesh = trimesh.creation.icosphere(2)
+    return TriMesh(np.array(mesh.vertices) * radii + centre, np.array(mesh.faces))
+
+
+UPPER, LOWER = ball((0.0, 0.0, 22.0), (6.0, 7.0, 12.0)), ball((1.0, 0.0, -20.0), (6.0, 5.0, 13.0))
+TURN = RigidMotion.about_axis(centre=np.array([0.0, 0.0, 2.0]), axis=np.array([1.0, 0.2, 0.0]), angle_deg=9.0)
+BEFORE = [Stand.of(RigidMotion.identity()), Stand.of(RigidMotion.identity())]
+AFTER = [Stand.of(RigidMotion.identity()), Stand.of(TURN)]
+
+
+@pytest.fixture(scope="module")
+def locked() -> LockedField:
+    locks = BoneLocks.around([UPPER, LOWER], spacing_mm=0.5, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, AFTER)
+    at = np.concatenate([UPPER.vertices[::9], LOWER.vertices[::9]])
+    to = np.concatenate([UPPER.vertices[::9], TURN(LOWER.vertices[::9])])
+    return LockedField(RadialBackend("isochoric-r3").fit(0.5 * (at + to), to - at), locks)
+
+
+def around(count: int = 20_000, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([-14.0, -14.0, -38.0], [14.0, 14.0, 40.0], (count, 3))
+
+
+@pytest.mark.parametrize(("surface", "motion"), [(UPPER, RigidMotion.identity()), (LOWER, TURN)])
+def test_a_step_moves_the_whole_surface_as_its_bone(locked, surface, motion):
+    places = surface_grid(surface, spacing_mm=0.15)
+    assert len(places) > 20_000
+    off = CayleyStep(locked)(places) - motion(places)
+    assert np.abs(off).max() < 1e-9
+    # without the locks the same field misses it
+    assert np.abs(CayleyStep(locked.base)(places) - motion(places)).max() > 0.01
+
+
+def test_what_is_within_a_bone_moves_with_it(locked):
+    inside = LOWER.vertices.mean(axis=0) + 0.6 * (LOWER.vertices - LOWER.vertices.mean(axis=0))
+    np.testing.assert_allclose(CayleyStep(locked)(inside), TURN(inside), rtol=0, atol=1e-9)
+
+
+def test_far_from_bones_the_field_is_its_base(locked):
+    far = np.array([[30.0, 0.0, 0.0], [0.0, -25.0, 10.0], [12.0, 12.0, 2.0]])
+    np.testing.assert_array_equal(locked.displacement(far), locked.base.displacement(far))
+
+
+def test_derivatives_are_those_of_the_values(locked):
+    points, h = around(2000), 1e-5
+    gradients = locked.gradient(points)
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        slope = (locked.displacement(points + step) - locked.displacement(points - step)) / (2.0 * h)
+        np.testing.assert_allclose(gradients[:, :, axis], slope, rtol=0, atol=2e-4)
+
+
+def test_the_inverse_undoes_the_step(locked):
+    step, points = CayleyStep(locked), around(3000)
+    np.testing.assert_allclose(step.inverse()(step(points)), points, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("half", [0.05, 0.4, 2.0, 9.0])
+def test_bounds_over_boxes_hold_at_every_place_tried(locked, half):
+    rng = np.random.default_rng(int(100 * half))
+    on = np.concatenate([UPPER.vertices, LOWER.vertices])
+    centres = on[rng.integers(len(on), size=400)] + rng.normal(0.0, 1.5, (400, 3))
+    halves = half * rng.uniform(0.3, 1.0, (400, 3))
+    gradients, radii = locked.gradient_bounds(centres, halves)
+    ranges, _ = locked.strain_bounds(centres, halves, enough=(-0.1, 0.1))
+    values, reach = locked.displacement_bounds(centres, halves)
+    assert np.isfinite(radii).all()
+    for _ in range(60):
+        inner = centres + halves * np.clip(rng.uniform(-1.15, 1.15, centres.shape), -1.0, 1.0)
+        there, steep = locked.displacement_and_gradient(inner)
+        off = np.linalg.norm(steep - gradients, ord=2, axis=(1, 2))
+        assert (off <= radii + 1e-12).all()
+        eigenvalues = np.linalg.eigvalsh(0.5 * (steep + steep.transpose(0, 2, 1)))
+        assert (eigenvalues[:, 0] >= ranges[:, 0] - 1e-12).all()
+        assert (eigenvalues[:, -1] <= ranges[:, 1] + 1e-12).all()
+        assert (np.abs(there - values) <= reach + 1e-12).all()
+
+
+def test_bounds_come_close_to_what_small_boxes_hold(locked):
+    centres = around(300)
+    gradients, radii = locked.gradient_bounds(centres, np.full_like(centres, 1e-6))
+    np.testing.assert_allclose(gradients, locked.gradient(centres), rtol=0, atol=1e-9)
+    assert radii.max() < 1e-3
+
+
+def test_a_locked_step_is_certified_and_one_too_steep_is_not(locked):
+    skin = ball((0.0, 0.0, 1.0), (20.0, 20.0, 45.0))
+    assert certify_map([(StepKind.CAYLEY, locked)], skin).claim is MapClaim.CERTIFIED
+    assert certify_map([(StepKind.CAYLEY, locked.scaled(12.0))], skin).claim is not MapClaim.CERTIFIED
+
+
+def test_bones_too_close_to_each_other_are_not_locked_there_and_weights_never_exceed_one():
+    near = ball((0.0, 0.0, -14.0), (6.0, 5.0, 23.5))
+    locks = BoneLocks.around([UPPER, near], spacing_mm=0.5, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, BEFORE)
+    points = around(60_000)
+    total = sum(lock.weights(points)[0] for lock in locks)
+    assert total.max() <= 1.0 + 1e-4
+    tip = np.array([[0.0, 0.0, 9.9]])
+    assert locks[0].weights(tip)[0][0] < 0.5
+    top = UPPER.vertices[UPPER.vertices[:, 2] > 25.0]
+    np.testing.assert_array_equal(locks[0].weights(top)[0], 1.0)
+
+
+def test_a_half_turn_in_one_step_is_refused():
+    half = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 1.0, 0.0]), angle_deg=180.0)
+    lattice = BoneDistances.around(UPPER, spacing_mm=1.0, fade_mm=3.0).weights()
+    assert isinstance(lattice, WeightLattice)
+    still = (np.eye(3), np.zeros(3))
+    with pytest.raises(FieldError, match="180 degrees"):
+        Lock.of_step(lattice, still, (half.rotation, half.translation))

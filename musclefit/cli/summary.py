@@ -15,17 +15,23 @@ from musclefit.validate.model import Check
 
 
 def print_run(report: Report, *, folder: Path) -> None:
-    """The verdict, the limits, and result beside baseline."""
+    """The verdict, the limits, and the result beside what it is compared with."""
     console = Console(highlight=False, soft_wrap=True)
     console.print(_verdict(report.verdict, report.title))
     steps = "1 step" if report.result.steps == 1 else f"{report.result.steps} steps"
     console.print(Text(f"{report.result.method}; {steps}; {report.result.status}"))
     console.print(Text(f"map: {report.result.map.claim.value}; mesh: {_mesh_claim(report)}"))
     table = Table(box=None, pad_edge=False)
-    for heading, justify in (("", "left"), ("result", "right"), ("one shot", "right"), ("unit", "left")):
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    beside = [
+        name for name, side in (("paper's loop", report.paper_loop), ("one shot", report.baseline)) if side is not None
+    ]
+    table.add_column("")
+    for heading in ("result", *beside):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
     for row in compare(report):
-        table.add_row(row.name, _cell(row.result), _cell(row.baseline), row.unit)
+        others = [cell for cell in (row.paper_loop, row.baseline) if cell is not None]
+        table.add_row(row.name, _cell(row.result), *map(_cell, others), row.unit)
     console.print(table)
     console.print(Text(f"limits {report.limits_in_words}"))
     print_failed(console, report.checks)
@@ -93,9 +99,9 @@ def print_failed(console: Console, checks: tuple[Check, ...]) -> None:
             console.print(Text(f"  next: {check.next_step}"))
 
 
-def _cell(cell: Cell | None) -> Text:
+def _cell(cell: Cell) -> Text:
     """A number, red where it breaks its limit."""
-    if cell is None or cell.value is None:
+    if cell.value is None:
         return Text("-")
     text = "not measured" if math.isnan(cell.value) else f"{cell.value:.4g}"
     return Text(text, style="red" if cell.passed is False else "")

@@ -1,9 +1,10 @@
-"""The pictures of a report as PNG bytes: rest, baseline and result side by side; or the reason why there are none."""
+"""The pictures of a report as PNG bytes: rest, other methods and result side by side; or why there are none."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,9 @@ def stills(
     rest: Anatomy,
     deformed: Anatomy,
     *,
-    baseline: Anatomy | None,
+    beside: Mapping[str, tuple[Anatomy, Marks]] = MappingProxyType({}),
     rest_marks: Marks = Marks(),  # noqa: B008 (a frozen value)
     marks: Marks = Marks(),  # noqa: B008
-    baseline_marks: Marks = Marks(),  # noqa: B008
     height_px: int = 1000,
 ) -> Stills:
     """Pictures of one run, all from the same view.
@@ -43,10 +43,10 @@ def stills(
     ----------
     rest, deformed : Anatomy
         The same tissues before and after.
-    baseline : Anatomy or None
-        After the method compared with, or None where none was run.
-    rest_marks, marks, baseline_marks : Marks
-        Determinants and overlaps to point out at rest, in the result and in the baseline.
+    beside : mapping of title to anatomy and marks
+        After the methods compared with, in order, between rest and result.
+    rest_marks, marks : Marks
+        Determinants and overlaps to point out at rest and in the result.
     height_px : int
 
     Returns
@@ -60,8 +60,7 @@ def stills(
         The anatomies have different tissues, or determinants do not fit their tissue.
     """
     panels = [Panel("Rest", rest, rest_marks)]
-    if baseline is not None:
-        panels.append(Panel("Baseline", baseline, baseline_marks))
+    panels += [Panel(title, anatomy, of_it) for title, (anatomy, of_it) in beside.items()]
     panels.append(Panel("Result", deformed, marks))
     _require_same_tissues(panels)
     problem = rendering_problem()

@@ -95,9 +95,12 @@ def save(
         drawn = stills(
             result.job.anatomy,
             result.result.deformed,
-            baseline=result.baseline.deformed,
+            beside={
+                title: (outcome.deformed, _marks(outcome))
+                for title, outcome in (("One shot", result.baseline), ("Paper's loop", result.paper_loop))
+                if outcome is not None
+            },
             marks=_marks(result.result),
-            baseline_marks=_marks(result.baseline),
         )
     report = result.report
     report = replace(report, **measured(seconds or {}, provenance=report.provenance))

@@ -1,4 +1,4 @@
-"""One run in order: march, move every tissue, check, compare with the baseline; a job in, records out."""
+"""One run in order: march, move every tissue, check, the same for what it is shown beside; a job in, records out."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mend
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.pipeline.compared import LoopProgress, papers_loop
 from musclefit.pipeline.deformers import (
     Deformed,
     baseline_in_words,
@@ -37,7 +38,7 @@ from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finel
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import BoneLimit, MeshSettings, StepKind
+from musclefit.rig.model import BoneLimit, Compared, MeshSettings, StepKind
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
@@ -87,20 +88,25 @@ class Retargeting:
     job : Job
     tets : TetAnatomy or None
         At rest, as given.
-    result, baseline : Outcome
-        The job's method, and the same handles in one shot.
+    result : Outcome
+        By the job's method.
+    baseline : Outcome or None
+        The same handles in one shot; None where the rig does not want it.
     findings : tuple of Finding
         Of the input.
     joint_ranges : tuple of JointRange
         Of the joints that the pose turns.
+    paper_loop : Outcome or None
+        The same handles by the loop of Yu et al. 2014; None where that is the job's method, or not wanted.
     """
 
     job: Job
     tets: TetAnatomy | None
     result: Outcome
-    baseline: Outcome
+    baseline: Outcome | None
     findings: tuple[Finding, ...]
     joint_ranges: tuple[JointRange, ...] = ()
+    paper_loop: Outcome | None = None
 
     @property
     def report(self) -> Report:
@@ -108,7 +114,7 @@ class Retargeting:
         return Report(
             title=self.job.rig.title,
             result=self.result.side,
-            baseline=self.baseline.side,
+            baseline=None if self.baseline is None else self.baseline.side,
             findings=self.findings,
             limits=self.job.rig.limits,
             timings_s={},
@@ -117,6 +123,7 @@ class Retargeting:
             tets=None if self.tets is None else tet_summary(self.tets),
             joint_ranges=self.joint_ranges,
             purpose_because=self.job.rig.purpose_because,
+            paper_loop=None if self.paper_loop is None else self.paper_loop.side,
         )
 
 
@@ -139,7 +146,7 @@ def settings_of(job: Job) -> Mapping[str, Any]:
 
 
 def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = None) -> Retargeting:
-    """Run a job: deform by its method and in one shot, and check both.
+    """Run a job: deform by its method, by the paper's loop and in one shot, and check them all.
 
     Parameters
     ----------
@@ -164,19 +171,36 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     ranges, unknown = _joint_ranges(job, progress)
     solids = solid_anatomy(job.anatomy, progress=progress)
     made = deform_finely(job, progress=progress)
-    baseline = move_finely(job, deform_in_one_shot(job, job.anatomy.vertices()), progress=progress)
     finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress, shared)
-    as_given = replace(finish, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
     of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
     kept = _kept_findings(made.deformed)
     return Retargeting(
         job=job,
         tets=tets,
         result=finish(made, method=method_in_words(job), stage="check result"),
-        baseline=as_given(baseline, method=baseline_in_words(job), stage="check baseline"),
+        baseline=_one_shot(finish),
         findings=(*job.findings, *unknown, *kept, *of_tets),
         joint_ranges=ranges,
+        paper_loop=_papers_loop(finish),
     )
+
+
+def _one_shot(finish: _Finisher) -> Outcome | None:
+    """The same handles in one shot, on surfaces as fine as the result's; None where the rig does not want it."""
+    job = finish.job
+    if Compared.ONE_SHOT not in job.rig.compare.methods:
+        return None
+    made = move_finely(job, deform_in_one_shot(job, job.anatomy.vertices()), progress=finish.progress)
+    return finish.as_given(job)(made, method=baseline_in_words(job), stage="check baseline")
+
+
+def _papers_loop(finish: _Finisher) -> Outcome | None:
+    """The same handles by the paper's loop, on the given surfaces; None where that is the job's, or not wanted."""
+    loop = papers_loop(finish.job)
+    if loop is None:
+        return None
+    made = deform_finely(loop, progress=LoopProgress(finish.progress))
+    return finish.as_given(loop)(made, method=method_in_words(loop), stage="check the paper's loop")
 
 
 def outcome_of(job: Job, *, rest: SolidAnatomy, shared: Sequence[BoneOverlap] = (), progress: Progress) -> Outcome:
@@ -207,6 +231,10 @@ class _Finisher:
     """Told of the proof: the seconds of the job's own are compared with those of its march."""
     shared: tuple[BoneOverlap, ...]
     """What bones share in the pose by their motions alone: no part of what a deformation that holds them introduces."""
+
+    def as_given(self, job: Job) -> _Finisher:
+        """For what a result is shown beside: its tets are moved as they are, and its proof is no part of the job's."""
+        return replace(self, job=job, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
         job, deformed, deformation = self.job, made.deformed, made.deformed.deformation

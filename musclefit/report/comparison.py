@@ -1,4 +1,4 @@
-"""Result and baseline side by side: what folds, overlaps, bends and shrinks; knows rows, not pages."""
+"""Result and what it is compared with side by side: what folds, overlaps, bends and shrinks; knows rows, not pages."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class Row:
     limit: float | None
     result: Cell
     baseline: Cell | None
+    paper_loop: Cell | None = None
 
 
 def compare(report: Report) -> tuple[Row, ...]:
@@ -46,17 +47,21 @@ def compare(report: Report) -> tuple[Row, ...]:
     Returns
     -------
     tuple of Row
-        ``baseline`` is None in every row of a report without one. A row that neither side has is left out.
+        ``baseline`` and ``paper_loop`` are None in every row of a report without one. A row that no side has is left
+        out.
     """
-    result = _cells(report.result, report.limits)
-    baseline = None if report.baseline is None else _cells(report.baseline, report.limits)
+    result, baseline, loop = (
+        None if side is None else _cells(side, report.limits)
+        for side in (report.result, report.baseline, report.paper_loop)
+    )
+    assert result is not None
     rows = []
     for group, name, unit in _ROWS:
-        other = None if baseline is None else baseline[name][0]
+        one_shot, looped = (None if side is None else side[name][0] for side in (baseline, loop))
         cell, limit = result[name]
-        if cell.value is None and (other is None or other.value is None):
+        if all(one is None or one.value is None for one in (cell, one_shot, looped)):
             continue
-        rows.append(Row(group, name, unit, limit, cell, other))
+        rows.append(Row(group, name, unit, limit, cell, one_shot, looped))
     return tuple(rows)
 
 

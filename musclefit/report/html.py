@@ -119,6 +119,7 @@ def sentence(check: Check) -> tuple[str, str]:
 @dataclass(frozen=True, slots=True)
 class _TissueRow:
     tissue: TissueCheck
+    paper_loop: TissueCheck | None
     baseline: TissueCheck | None
     off_limit: tuple[str, ...]
     """The columns that break a limit."""
@@ -129,7 +130,14 @@ class _PairRow:
     a: str
     b: str
     result: PairOverlap | None
+    paper_loop: PairOverlap | None
     baseline: PairOverlap | None
+
+    @property
+    def rest_mm3(self) -> float:
+        """What they share at rest."""
+        found = next(side for side in (self.result, self.paper_loop, self.baseline) if side is not None)
+        return found.rest_mm3
 
 
 def _render(template: str, page: dict[str, Any]) -> str:
@@ -165,6 +173,7 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         **_shared(report, remark=_remark(report)),
         "result": report.result,
         "baseline": report.baseline,
+        "paper_loop": report.paper_loop,
         "groups": _grouped(compare(report)),
         "absent": absent(report.result),
         "pictures": {caption: _data_uri(caption, png) for caption, png in pictures.items()},
@@ -197,13 +206,18 @@ def _tet_rows(report: Report) -> list[tuple[str, int, int, int, float]]:
 
 
 def _remark(report: Report) -> str:
-    """How the baseline does against the same limits, in words."""
-    if report.baseline is None:
-        return ""
-    checks = checks_against(report.limits, report.baseline)
+    """How the methods compared with do against the same limits, in words."""
+    said = [
+        f"{name} {_outcome(checks_against(report.limits, side))}"
+        for name, side in (("the paper's loop", report.paper_loop), ("one shot", report.baseline))
+        if side is not None
+    ]
+    return f"Held against the same limits, {' and '.join(said)}." if said else ""
+
+
+def _outcome(checks: tuple[Check, ...]) -> str:
     failed = sum(not check.passed for check in checks)
-    outcome = f"fails {failed} of {len(checks)}" if failed else "keeps them all"
-    return f"The baseline, held against the same limits, {outcome}."
+    return f"fails {failed} of {len(checks)} checks" if failed else "keeps them all"
 
 
 def _sentence(check: Check) -> str:
@@ -224,9 +238,11 @@ def _grouped(rows: tuple[Row, ...]) -> dict[str, list[Row]]:
 
 
 def _tissue_rows(report: Report) -> list[_TissueRow]:
-    other = {} if report.baseline is None else {t.name: t for t in report.baseline.tissues}
+    loop, baseline = (
+        {} if side is None else {t.name: t for t in side.tissues} for side in (report.paper_loop, report.baseline)
+    )
     ordered = worst_first(report.result.tissues, report.limits)
-    return [_TissueRow(t, other.get(t.name), _off_limit(t, report)) for t in ordered]
+    return [_TissueRow(t, loop.get(t.name), baseline.get(t.name), _off_limit(t, report)) for t in ordered]
 
 
 def _off_limit(tissue: TissueCheck, report: Report) -> tuple[str, ...]:
@@ -246,16 +262,19 @@ def _off_limit(tissue: TissueCheck, report: Report) -> tuple[str, ...]:
 
 
 def _pair_rows(report: Report) -> list[_PairRow]:
-    """Every pair that overlaps on either side: those apart at rest, then the others, largest introduced first."""
-    result = {(p.a, p.b): p for p in report.result.overlaps.pairs}
-    baseline = {} if report.baseline is None else {(p.a, p.b): p for p in report.baseline.overlaps.pairs}
-    rows = [_PairRow(a, b, result.get((a, b)), baseline.get((a, b))) for a, b in {**result, **baseline}]
+    """Every pair that overlaps on any side: those apart at rest, then the others, largest introduced first."""
+    result, loop, baseline = (
+        {} if side is None else {(p.a, p.b): p for p in side.overlaps.pairs}
+        for side in (report.result, report.paper_loop, report.baseline)
+    )
+    pairs = {**result, **loop, **baseline}
+    rows = [_PairRow(a, b, result.get((a, b)), loop.get((a, b)), baseline.get((a, b))) for a, b in pairs]
 
     def rank(row: _PairRow) -> tuple[bool, *tuple[tuple[float, float], ...]]:
         apart = row.result is not None and row.result.rest_mm3 <= ROUNDING_MM3
         return not apart, *(
             (1.0, 0.0) if side is None else (_largest_first(side.introduced_mm3), _largest_first(side.deformed_mm3))
-            for side in (row.result, row.baseline)
+            for side in (row.result, row.paper_loop, row.baseline)
         )
 
     return sorted(rows, key=rank)

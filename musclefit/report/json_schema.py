@@ -30,8 +30,13 @@ def report_schema() -> Schema:
         ),
         "findings": _list(_finding(), "What was found in the input; no part of the verdict."),
         "baseline": {
-            "description": "The same keys for the method compared with, held against the same limits; null where none "
-            "was run. It never changes the verdict.",
+            "description": "The same keys for the same handles in one shot, held against the same limits; null where "
+            "that was not run. It never changes the verdict.",
+            "oneOf": [_record(side, "One method's outcome."), {"type": "null"}],
+        },
+        "paper_loop": {
+            "description": "The same keys for the same handles by the loop of Yu et al. 2014, held against the same "
+            "limits; null where the result is that loop's own, or it was not run. It never changes the verdict.",
             "oneOf": [_record(side, "One method's outcome."), {"type": "null"}],
         },
         "certificate_cost": {

@@ -144,6 +144,9 @@ class Report:
     findings : tuple of Finding
         What was found in the input; shown, but no part of the verdict.
     limits : Limits
+    paper_loop : Side or None
+        The same handles by the loop of Yu et al. 2014; None where the result is that loop's, or it was not wanted. It
+        never changes the verdict.
     purpose_because : str
         Why the limits are for the purpose that they name.
     timings_s : mapping of stage name to seconds
@@ -167,6 +170,7 @@ class Report:
     tets: TetSummary | None = None
     joint_ranges: tuple[JointRange, ...] = ()
     purpose_because: str = ""
+    paper_loop: Side | None = None
 
     @property
     def limits_in_words(self) -> str:

@@ -66,6 +66,7 @@ def to_json(report: Report | MeshReport) -> Json:
         "joint_ranges": joint_ranges_to_json(report.joint_ranges),
         "findings": [_finding(f) for f in report.findings],
         "baseline": None if report.baseline is None else _side(report.baseline, report.limits),
+        "paper_loop": None if report.paper_loop is None else _side(report.paper_loop, report.limits),
         "timings_s": {name: _number(seconds) for name, seconds in report.timings_s.items()},
         "certificate_cost": _certificate_cost(report.timings_s),
         "peak_memory_mb": _number(report.peak_memory_mb),

@@ -43,7 +43,12 @@ STANDS_FOR: Mapping[Method, Mapping[str, object]] = MappingProxyType(
 IDLE: Mapping[Method, tuple[str, ...]] = MappingProxyType(
     {
         Method.OWN: (),
-        Method.YU2014: ("deformer.margin_floor", "deformer.lattice_spacing_mm", "deformer.lattice_levels"),
+        Method.YU2014: (
+            "bones.lock",
+            "deformer.margin_floor",
+            "deformer.lattice_spacing_mm",
+            "deformer.lattice_levels",
+        ),
         Method.RIGID_BONES: ("deformer.step_rule",),
     }
 )
@@ -122,6 +127,8 @@ def settle(before: Mapping[str, Any], after: dict[str, Any], given: Collection[s
             _fill(after, method_of(before))
         return
     method = method_of(before)
+    if method is Method.OWN and any(_get(before, key) is not None for key in CHOOSING):
+        _set(after, METHOD, Method.OWN.value)  # whatever of these is left when another backend is set
     if not _decided(method) & set(given):
         return
     _set(after, METHOD, method.value)

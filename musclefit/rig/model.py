@@ -105,6 +105,13 @@ class Purpose(StrEnum):
     ANOTHER_BODY = "another-body"
 
 
+class Compared(StrEnum):
+    """What a result is shown beside, made of the same handles."""
+
+    YU2014 = "yu2014"
+    ONE_SHOT = "one-shot"
+
+
 class CageCrossings(StrEnum):
     """What to do with a cage whose triangles cross each other."""
 
@@ -542,6 +549,13 @@ class MeshSettings:
             raise RigError(f"mesh.sliver_deg: found {self.sliver_deg}; expected an angle of 0 up to 60 degrees")
 
 
+@dataclass(frozen=True, slots=True)
+class CompareSettings:
+    """What a result is shown beside: the paper's loop, where the method is not that loop itself, and one step."""
+
+    methods: tuple[Compared, ...] = (Compared.YU2014, Compared.ONE_SHOT)
+
+
 HELD_RIGIDITY_MM = 0.01
 """How far a bone that is held or kept may be off its rigid motion, whatever the purpose."""
 
@@ -660,6 +674,7 @@ class Rig:
     mesh: MeshSettings = field(default_factory=MeshSettings)
     limits: Limits = field(default_factory=Limits)
     purpose_because: str = field(default="the rig says so", compare=False)
+    compare: CompareSettings = field(default_factory=CompareSettings)
 
     def __post_init__(self) -> None:
         if not self.title.strip():

@@ -125,6 +125,15 @@ class Section:
         except ValueError:
             raise self.error(key, f"found {value!r}; {suggestion(value, [c.value for c in among])}") from None
 
+    def choices(self, key: str, among: type[Choice]) -> tuple[Choice, ...]:
+        """A list of values of ``among``, none of them listed twice; may be empty."""
+        texts = self.texts(key)
+        try:
+            return tuple(among(text) for text in texts)
+        except ValueError:
+            wrong = next(text for text in texts if text not in list(among))
+            raise self.error(key, f"holds {wrong!r}; {suggestion(wrong, [c.value for c in among])}") from None
+
     def wholes(self, key: str) -> tuple[int, ...]:
         """A list of whole numbers, written without a decimal point."""
         values = self.table[key]

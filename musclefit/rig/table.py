@@ -23,6 +23,8 @@ from musclefit.rig.model import (
     BoneSettings,
     CageDrive,
     CertificateSettings,
+    Compared,
+    CompareSettings,
     DeformerSettings,
     Drive,
     JointDrive,
@@ -59,6 +61,7 @@ Record = TypeVar(
     CertificateSettings,
     TetSettings,
     MeshSettings,
+    CompareSettings,
     Limits,
 )
 
@@ -128,7 +131,19 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     """
     root = Section(with_method(table, source=source), source)
     root.refuse_unknown(
-        ("title", "anatomy", "drive", "deformer", "bones", "surfaces", "certificate", "tets", "mesh", "limits")
+        (
+            "title",
+            "anatomy",
+            "drive",
+            "deformer",
+            "bones",
+            "surfaces",
+            "certificate",
+            "tets",
+            "mesh",
+            "compare",
+            "limits",
+        )
     )
     root.require(("title", "anatomy", "drive"))
     title = root.text("title")
@@ -146,9 +161,10 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     certificate = _record(CertificateSettings, _optional(root, "certificate"))
     tets = _record(TetSettings, _optional(root, "tets"))
     mesh = _record(MeshSettings, _optional(root, "mesh"))
+    compare = _record(CompareSettings, _optional(root, "compare"))
     limits, because = _limits(_optional(root, "limits"), default_purpose(drive, deformer, bones))
     try:
-        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, mesh, limits, because)
+        return Rig(title, anatomy, drive, deformer, bones, surfaces, certificate, tets, mesh, limits, because, compare)
     except RigError as error:
         raise RigError(f"{source}: {error}") from None
 
@@ -202,6 +218,7 @@ def known_keys() -> tuple[str, ...]:
         "certificate": (CertificateSettings,),
         "tets": (TetSettings,),
         "mesh": (MeshSettings,),
+        "compare": (CompareSettings,),
         "limits": (Limits,),
     }
     keys = ["title", "drive.kind"]
@@ -322,6 +339,8 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
         lengths = section.section(key)
         return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
+    if hint == tuple[Compared, ...]:
+        return section.choices(key, Compared)
     if hint == tuple[str, ...]:
         return _listed(section, key)
     if hint == tuple[int, ...]:

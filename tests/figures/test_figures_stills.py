@@ -47,9 +47,13 @@ def _dets(anatomy, folded=()):
     return dets
 
 
+def _beside(anatomy):
+    return {"One shot": (anatomy, Marks()), "Paper's loop": (anatomy, Marks())}
+
+
 def test_pictures_of_a_run_show_every_panel(limb, screen):
     moved = limb.with_vertices(limb.vertices() * [1.0, 1.0, 1.2])
-    found = stills(limb, moved, baseline=limb, marks=Marks(_dets(moved)), height_px=HEIGHT)
+    found = stills(limb, moved, beside=_beside(limb), marks=Marks(_dets(moved)), height_px=HEIGHT)
     assert found.problem == ""
     assert [caption.split(":")[0] for caption in found.pictures] == [
         "All tissues, from the broad side",
@@ -57,9 +61,10 @@ def test_pictures_of_a_run_show_every_panel(limb, screen):
         "Bones alone",
         "Local volume ratio det J",
     ]
+    assert ": rest, one shot, paper's loop, result" in next(iter(found.pictures))
     for caption, png in found.pictures.items():
         picture = _pixels(png)
-        panels = 1 if caption.startswith("Local") else 3
+        panels = 1 if caption.startswith("Local") else 4
         assert picture.shape[0] == HEIGHT
         for part in np.array_split(picture, panels, axis=1):
             inside = part.min(axis=-1) < 0.9
@@ -70,15 +75,15 @@ def test_pictures_of_a_run_show_every_panel(limb, screen):
 
 
 def test_the_same_anatomy_looks_the_same_in_every_panel(limb, screen):
-    png = next(iter(stills(limb, limb, baseline=limb, height_px=HEIGHT).pictures.values()))
+    png = next(iter(stills(limb, limb, beside=_beside(limb), height_px=HEIGHT).pictures.values()))
     below_titles = _pixels(png)[HEIGHT // 5 :]
-    first, *others = np.array_split(below_titles, 3, axis=1)
+    first, *others = np.array_split(below_titles, 4, axis=1)
     for other in others:
         np.testing.assert_allclose(other, first, rtol=0, atol=0.02)
 
 
 def test_skin_is_translucent_and_muscles_are_seen_through_it(limb, screen):
-    png = next(iter(stills(limb, limb, baseline=None, height_px=HEIGHT).pictures.values()))
+    png = next(iter(stills(limb, limb, height_px=HEIGHT).pictures.values()))
     picture = _pixels(png)
     assert (picture[..., 0] - picture[..., 1] > 0.25).sum() > 200
     skin_alone = (np.abs(picture - picture[0, 0]).max(axis=-1) > 0.02) & (picture.min(axis=-1) > 0.75)
@@ -87,7 +92,7 @@ def test_skin_is_translucent_and_muscles_are_seen_through_it(limb, screen):
 
 def test_a_single_fold_hidden_inside_is_seen_in_every_picture(limb, screen):
     marks = Marks(_dets(limb, folded=("humerus",)))
-    found = stills(limb, limb, baseline=None, marks=marks, height_px=HEIGHT)
+    found = stills(limb, limb, marks=marks, height_px=HEIGHT)
     for caption, png in found.pictures.items():
         if not caption.startswith("Bones"):
             assert _count(png, MAGENTA) >= 10, caption
@@ -110,7 +115,7 @@ def test_folds_stay_loud_however_deep_and_kept_volume_is_quiet(limb, screen):
 def test_an_overlap_hidden_inside_is_seen(limb, screen):
     ball = trimesh.creation.icosphere(radius=4.0)
     solid = TriMesh(np.asarray(ball.vertices), np.asarray(ball.faces))
-    found = stills(limb, limb, baseline=None, marks=Marks(overlaps=(solid,)), height_px=HEIGHT)
+    found = stills(limb, limb, marks=Marks(overlaps=(solid,)), height_px=HEIGHT)
     assert _count(next(iter(found.pictures.values())), BLUE) >= 20
     assert "overlaps in blue" in next(iter(found.pictures))
 
@@ -125,7 +130,7 @@ def test_a_figure_is_given_unshown(limb, screen):
 
 def test_no_rendering_is_a_reason_and_no_crash(limb, monkeypatch):
     monkeypatch.setattr(stills_module, "rendering_problem", lambda: "no OpenGL here")
-    found = stills(limb, limb, baseline=None)
+    found = stills(limb, limb)
     assert (dict(found.pictures), found.problem) == ({}, "no OpenGL here")
 
 
@@ -153,8 +158,8 @@ def test_different_tissues_and_wrong_determinants_are_refused(limb):
     from dataclasses import replace
 
     with pytest.raises(InputError, match=r"Result and rest have different tissues \(skin\)"):
-        stills(limb, replace(limb, tissues=limb.tissues[1:]), baseline=None)
+        stills(limb, replace(limb, tissues=limb.tissues[1:]))
     with pytest.raises(InputError, match=r"'biceps' have shape \(3,\); give one for each of its 642 vertices"):
-        stills(limb, limb, baseline=None, marks=Marks({"biceps": np.ones(3)}))
+        stills(limb, limb, marks=Marks({"biceps": np.ones(3)}))
     with pytest.raises(InputError, match="no tissue is named 'tail'"):
-        stills(limb, limb, baseline=None, marks=Marks({"tail": np.ones(3)}))
+        stills(limb, limb, marks=Marks({"tail": np.ones(3)}))

@@ -587,6 +587,7 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
         "certificate": [model.CertificateSettings],
         "tets": [model.TetSettings],
         "mesh": [model.MeshSettings],
+        "compare": [model.CompareSettings],
         "limits": [model.Limits],
     }
     rows = [line for line in (RIGS / "README.md").read_text().splitlines() if line.startswith(f"| `{key}` |")]

@@ -72,6 +72,7 @@ def test_every_name_is_escaped(make_report, make_side, make_tissue):
         title=HOSTILE,
         result=side,
         baseline=side,
+        paper_loop=side,
         findings=(Finding(HOSTILE, HOSTILE, HOSTILE),),
         timings_s={HOSTILE: 1.0},
         provenance={HOSTILE: [HOSTILE]},
@@ -149,6 +150,35 @@ def test_pairs_apart_at_rest_are_listed_first_then_the_largest_of_both_sides(mak
         ("g", "h"),
         ("e", "f"),
     ]
+
+
+def test_columns_are_result_then_the_papers_loop_then_one_shot(make_report, make_side, make_tissue):
+    """On a narrow screen what comes first is seen without scrolling: the result."""
+
+    def side(steps, change, introduced):
+        muscle = make_tissue("biceps", "muscle", volume_change_percent=change)
+        pair = PairOverlap("a", "b", 0.0, introduced, introduced)
+        return make_side(
+            steps=steps, tissues=(muscle,), overlaps=OverlapCheck((pair,), 1, ()), method=f"method {steps}"
+        )
+
+    report = make_report(result=side(31, 0.31, 0.031), paper_loop=side(22, 22.5, 2.25), baseline=side(1, 11.5, 1.15))
+    page = render_html(report, pictures={})
+    summary, pairs, tissues = (
+        page[page.index(f"<h2>{title}") : page.index("</table>", page.index(f"<h2>{title}"))]
+        for title in ("Summary", "Overlapping pairs", "Tissues, worst first")
+    )
+    heads = [re.sub(r"<[^>]+>", " ", head).strip() for head in re.findall(r"<th[^>]*>(.*?)</th>", summary)]
+    assert heads[:5] == ["", "Result", "Limit", "Paper's loop", "One shot"]
+    steps = summary[summary.index(">steps<") :]
+    assert re.findall(r">(\d+)</td>", steps) == ["31", "22", "1"]
+    assert pairs.index("0.031<") < pairs.index("2.25<") < pairs.index("1.15<")
+    assert tissues.index("0.31<") < tissues.index("22.5<") < tissues.index("11.5<")
+    text = _Reader(page).text
+    assert "Paper's loop: method 22; converged, 22 steps, on the surfaces as given." in text
+    assert "Held against the same limits, the paper's loop fails 2 of" in text
+    alone = render_html(make_report(result=side(31, 0.31, 0.031), baseline=side(1, 11.5, 1.15)), pictures={})
+    assert "aper's loop" not in alone
 
 
 def test_a_picture_that_is_no_png_is_refused(make_report):

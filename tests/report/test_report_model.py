@@ -115,8 +115,9 @@ def test_one_fault_fails_the_run_by_its_name_alone(case, make_report, make_side,
     assert report.verdict == "failed"
 
 
-def test_the_baseline_never_changes_the_verdict(make_report, make_side):
-    report = make_report(baseline=make_side(status="stalled", steps=1))
+@pytest.mark.parametrize("beside", ["baseline", "paper_loop"])
+def test_what_a_result_is_compared_with_never_changes_the_verdict(beside, make_report, make_side):
+    report = make_report(**{beside: make_side(status="stalled", steps=1)})
     assert report.verdict == "passed"
 
 
@@ -160,13 +161,15 @@ def test_totals_sum_over_pairs(make_side):
 
 
 def test_comparison_has_both_sides_and_leaves_out_what_neither_has(make_report, make_side):
-    report = make_report(result=make_side(mesh=None), baseline=make_side(mesh=None, steps=1))
+    loop = make_side(mesh=None, steps=3)
+    report = make_report(result=make_side(mesh=None), baseline=make_side(mesh=None, steps=1), paper_loop=loop)
     rows = {row.name: row for row in compare(report)}
     assert "inverted tets" not in rows
-    assert (rows["steps"].result.value, rows["steps"].baseline.value) == (5.0, 1.0)
+    cells = (rows["steps"].result, rows["steps"].paper_loop, rows["steps"].baseline)
+    assert [cell.value for cell in cells] == [5.0, 3.0, 1.0]
     assert rows["muscle volume change"].limit == 1.0
     assert rows["muscle volume change, median"].result.passed is None
-    assert all(row.baseline is None for row in compare(make_report()))
+    assert all(row.baseline is None and row.paper_loop is None for row in compare(make_report()))
     half = {row.name: row for row in compare(make_report(baseline=make_side(mesh=None)))}
     assert half["inverted tets"].baseline.value is None
     assert half["inverted tets"].result.value == 0.0

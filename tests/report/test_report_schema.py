@@ -28,7 +28,7 @@ def _validate(values, schema):
 def test_reports_are_valid_by_their_schema(make_report, make_side):
     for report in (
         make_report(),
-        make_report(baseline=make_side(status="stalled")),
+        make_report(baseline=make_side(status="stalled"), paper_loop=make_side(steps=9)),
         make_report(result=make_side(mesh=None)),
         make_report(result=make_side(overlaps=OverlapCheck((), 3, (), (TOUCHING,))), joint_ranges=(ELBOW,)),
     ):
@@ -56,11 +56,15 @@ def test_the_promised_keys_are_there(make_report, make_side):
     assert found["overlap_total"] == {"rest_mm3": 2.0, "deformed_mm3": 2.5, "introduced_mm3": 0.25}
     assert set(found["checks"][0]) == {"name", "value", "limit", "unit", "place", "passed", "next_step"}
     assert found["baseline"]["verdict"] == "failed"
+    assert found["paper_loop"] is None
+    looped = to_json(make_report(paper_loop=make_side(steps=9)))["paper_loop"]
+    assert (looped["steps"], set(looped)) == (9, set(found["baseline"]))
     assert set(found["baseline"]) == set(found) - {
         "schema_version",
         "title",
         "findings",
         "baseline",
+        "paper_loop",
         "certificate_cost",
         "joint_ranges",
         "limits",

@@ -245,6 +245,8 @@ def test_another_backend_keeps_the_method_where_it_can() -> None:
     assert (best.deformer.method, best.deformer.backend, best.bones.rigid) == ("rigid-bones", "ffd", True)
     loop = overridden(table(deformer={"method": "yu2014", "kernel": "r"}), "deformer.backend=ffd")
     assert (loop.deformer.method, loop.deformer.backend, loop.deformer.step) == ("own", "ffd", "explicit")
+    own = overridden(table(deformer={"kernel": "r"}), "deformer.backend=ffd")
+    assert (own.deformer.method, own.deformer.step, own.bones.rigid) == ("own", "explicit", False)
 
 
 def test_a_value_that_is_no_setting_is_told_as_such() -> None:

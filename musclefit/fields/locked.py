@@ -10,7 +10,6 @@ moves the bone exactly. Near a bone B is close to A_k, so that the fading costs 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, Self, runtime_checkable
@@ -405,9 +404,3 @@ def _both(a: Float, b: Float) -> Float:
     """What two proved ranges prove together."""
     both: Float = np.stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])], axis=1)
     return both
-
-
-def weight_excess(locks: Sequence[Lock], points: Points) -> float:
-    """How far the weights of locks sum beyond 1 at (N, 3) points, at most."""
-    total = np.sum([lock.weights(points)[0] for lock in locks], axis=0) if locks else np.zeros(len(points))
-    return float(np.max(total - 1.0, initial=0.0))

@@ -421,9 +421,7 @@ class BoneSettings:
                 "remove them"
             )
         if self.lock and not self.rigid:
-            raise RigError(
-                "bones.lock: locks the field to rigid bones, but bones.rigid is false; set it or remove lock"
-            )
+            raise RigError("bones.lock: locks rigid bones, but bones.rigid is false; set that, or remove lock")
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
         widths = {"lattices_mm": self.lattices_mm, "kept_lattices_mm": self.kept_lattices_mm}
         each = [(key, value) for key, values in widths.items() for value in values]

@@ -15,8 +15,9 @@ from musclefit.errors import InputError
 from musclefit.io.sequences import planned, read_frames, run_sequence
 from musclefit.io.transforms import transforms_text
 from musclefit.pipeline.deformers import least_steps
+from musclefit.pipeline.poses import bones_of, collision_on_the_way
 from musclefit.pipeline.retarget import Retargeting
-from musclefit.pipeline.sequence import Stage, at_rest, check_pose, collision_on_the_way, posed_job
+from musclefit.pipeline.sequence import Stage, at_rest, check_pose, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
 
@@ -136,9 +137,8 @@ def colliding(tmp_path: Path) -> Path:
 
 def test_a_transform_into_another_bone_is_refused_by_its_place_on_the_way(colliding: Path) -> None:
     job = musclefit.read_rig(colliding, overrides=(*RIGID, "drive.time_s=1"))
-    with pytest.raises(
-        InputError, match=r"run into each other at [\d.]+ % of the way: they share .*correct the transf"
-    ):
+    said = r"run into each other at [\d.]+ % of the way: .* mm deep, sharing .*feasible pose .*correct where"
+    with pytest.raises(InputError, match=said):
         musclefit.retarget(job, tets=None)
 
 
@@ -148,7 +148,7 @@ def test_landmarks_into_another_bone_are_refused(tmp_path: Path) -> None:
     for row in rows[7:]:
         row[5:8] = [repr(float(row[2]) - 30.0), *row[3:5]]
     write_landmarks(rig.with_name("landmarks.csv"), rows)
-    with pytest.raises(InputError, match=r"run into each other at .* % of the way.*correct the landmarks"):
+    with pytest.raises(InputError, match=r"run into each other at .* % of the way.*correct where the bones are sent"):
         musclefit.retarget(musclefit.read_rig(rig, overrides=RIGID), tets=None)
 
 
@@ -158,7 +158,9 @@ def test_a_frame_whose_bones_collide_is_refused_and_the_others_are_made(collidin
     assert [frame.outcome for frame in report.frames] == ["made", "refused", "made"]
     said = report.frames[1].problem
     assert said.startswith("frame 1 at 1 s is refused: bones 'bone_distal' and 'bone_proximal' run into each other at")
-    assert "of the way from rest: they share" in said
+    assert "% of the way: " in said
+    assert "mm deep, sharing" in said
+    assert "the largest feasible pose on this way is" in said
 
 
 def test_bones_that_slide_past_each_other_are_tested_on_the_way(colliding: Path) -> None:
@@ -171,7 +173,8 @@ def test_bones_that_slide_past_each_other_are_tested_on_the_way(colliding: Path)
     colliding.with_name("moved.json").write_text(transforms_text(poses), encoding="utf-8")
     job = musclefit.read_rig(colliding, overrides=RIGID)
     pose = Pose(1, 1.0, ())
-    found = collision_on_the_way(posed_job(job, pose), pose)
+    posed = posed_job(job, pose)
+    found = collision_on_the_way(posed, bones_of(posed))
     assert found is not None
     assert 0.0 < found.at < 0.5
 

@@ -130,7 +130,7 @@ def surface(mesh: TriMesh) -> Any:
 def _plotter(count: int, view: View, height_px: int) -> Any:
     aspect = min(max(view.aspect, 0.42), 1.6)
     plotter = pv.Plotter(
-        off_screen=True, shape=(1, count), border=False, window_size=[round(count * aspect * height_px), height_px]
+        off_screen=True, shape=(1, count), border=False, window_size=[count * round(aspect * height_px), height_px]
     )
     plotter.set_background("white")
     return plotter

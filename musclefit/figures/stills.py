@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -16,6 +17,8 @@ from musclefit.figures.camera import principal_views
 from musclefit.figures.colours import tissue_colours
 from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshot, tissue_panels
 from musclefit.figures.rendering import rendering_problem
+
+PANELS_AT_FULL_HEIGHT = 3
 
 __all__ = ["Marks", "Stills", "stills"]
 
@@ -48,6 +51,7 @@ def stills(
     rest_marks, marks : Marks
         Determinants and overlaps to point out at rest and in the result.
     height_px : int
+        Of pictures of up to three panels; those of more have as many pixels as three, for the time that each takes.
 
     Returns
     -------
@@ -81,17 +85,18 @@ def _drawings(panels: tuple[Panel, ...], height_px: int) -> dict[str, Callable[[
         *(["overlaps in blue"] if any(p.marks.overlaps for p in panels) else []),
     ]
     tail = f" ({'; '.join(notes)})" if notes else ""
+    height = round(height_px * min(1.0, math.sqrt(PANELS_AT_FULL_HEIGHT / len(panels))))
     drawings: dict[str, Callable[[], Any]] = {
         f"All tissues, from the broad side: {who}{tail}": lambda: tissue_panels(
-            panels, front, colours=colours, height_px=height_px
+            panels, front, colours=colours, height_px=height
         ),
         f"All tissues, a quarter turn on: {who}{tail}": lambda: tissue_panels(
-            panels, side, colours=colours, height_px=height_px
+            panels, side, colours=colours, height_px=height
         ),
     }
     bones = tuple(_only(panel, TissueKind.BONE) for panel in panels if panel.anatomy.of_kind(TissueKind.BONE))
     if len(bones) == len(panels) and len(bones[0].anatomy) < len(panels[0].anatomy):
-        drawings[f"Bones alone: {who}"] = lambda: tissue_panels(bones, front, colours=colours, height_px=height_px)
+        drawings[f"Bones alone: {who}"] = lambda: tissue_panels(bones, front, colours=colours, height_px=height)
     measured = tuple(panel for panel in panels if panel.marks.determinants)
     if measured:
         names = ", ".join(panel.title.lower() for panel in measured)

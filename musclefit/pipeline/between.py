@@ -27,8 +27,8 @@ MAX_POSES = 7
 """Poses that are made for one pair of frames, both frames counted: each costs what a frame's march does."""
 
 MAX_PAIRS = 24
-"""Pairs of tissues that are looked at closer between two frames, those that no frame shows first; what is beyond is told
-as not settled, unless its second frame shows it."""
+"""Pairs of tissues that are looked at closer between two frames, those that no frame shows first; what is beyond is
+told as not settled, unless its second frame shows it."""
 
 SAME_MM = 1e-6
 """A frame that is made again must be where it was up to this."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from musclefit.errors import MusclefitError
 from musclefit.geometry.arrays import Points
-from musclefit.io.sequence_frames import VERTICES, frame_folder, write_atomically, write_frame
+from musclefit.io.sequence_frames import RECORD, VERTICES, frame_folder, write_atomically, write_frame
 from musclefit.pipeline.between import between_frames
 from musclefit.pipeline.sequence import Stage
 from musclefit.progress import Tick
@@ -86,8 +86,9 @@ def examine(number: int) -> float:
 
 
 def between_key(first: Path, second: Path) -> str:
-    """The hash of what two frames hold."""
-    return sha256(first.read_bytes() + second.read_bytes()).hexdigest()
+    """The hash of what two frames hold and were made of: what is looked at closer depends on the rig's settings."""
+    made_of = [json.loads(path.with_name(RECORD).read_text(encoding="utf-8"))["key"] for path in (first, second)]
+    return sha256(first.read_bytes() + second.read_bytes() + "".join(made_of).encode()).hexdigest()
 
 
 def write_between(folder: Path, summary: BetweenSummary, *, key: str) -> None:

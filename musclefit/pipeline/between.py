@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,20 +10,25 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import MusclefitError
 from musclefit.flow.deformation import Deformation, Status
+from musclefit.geometry.arrays import Points
+from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.pipeline.poses import collision_in_words, collision_on_the_way
 from musclefit.pipeline.refining import deform_finely
+from musclefit.pipeline.retarget import motions_of_held_bones
 from musclefit.pipeline.sequence import Stage, posed_job
 from musclefit.progress import Silent
 from musclefit.rig.motion import Pose
-from musclefit.validate.closer import Look, MeetingKind, Names, Posed, Refined, looked_at
+from musclefit.validate.closer import Look, MeetingKind, Names, Posed, Refined, looked_at, told_by_frames
 from musclefit.validate.passing import Passage, check_passages
+from musclefit.validate.tissues import Motion
 
 MAX_POSES = 7
 """Poses that are made for one pair of frames, both frames counted: each costs what a frame's march does."""
 
 MAX_PAIRS = 24
-"""Pairs of tissues that are looked at closer between two frames; what is beyond is told as not settled."""
+"""Pairs of tissues that are looked at closer between two frames, those that no frame shows first; what is beyond is
+told as not settled, unless its second frame shows it."""
 
 SAME_MM = 1e-6
 """A frame that is made again must be where it was up to this."""
@@ -74,14 +79,31 @@ def between_frames(stage: Stage, poses: tuple[Pose, Pose], ends: tuple[Anatomy, 
     """
     found = check_passages(*ends, progress=Silent())
     way = PosesOnTheWay(stage, poses, ends)
-    looks = []
-    for passage in found.passages:
+    looks: dict[Passage, Look] = {}
+    for passage in sorted(found.passages, key=lambda passage: not passage.hidden):
         if way.pairs < MAX_PAIRS:
-            looks.append(looked_at(passage, stage.job.anatomy, way))
+            looks[passage] = looked_at(passage, stage.job.anatomy, way)
         else:
-            note = f"{MAX_PAIRS} other pairs were looked at closer between these frames, and no more are"
-            looks.append(Look(MeetingKind.UNSETTLED, note=note))
-    return Between(tuple(zip(found.passages, looks, strict=True)), found.pairs_examined)
+            looks[passage] = told_by_frames(passage, stage.job.anatomy) or _unlooked(passage)
+    return Between(tuple((passage, looks[passage]) for passage in found.passages), found.pairs_examined)
+
+
+def _unlooked(passage: Passage) -> Look:
+    """What is left when no more pairs are looked at: an overlap of given triangles in the second frame, or nothing."""
+    kind = MeetingKind.ENTERS if passage.overlap_after_mm3 > ROUNDING_MM3 else MeetingKind.UNSETTLED
+    return Look(kind, note=f"{MAX_PAIRS} other pairs were looked at closer between these frames, and no more are")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Map:
+    """A map, and the bones that go by motions of their own."""
+
+    deformation: Deformation
+    held: Mapping[str, Motion]
+
+    def moved(self, name: str, points: Points) -> Points:
+        """Where (N, 3) points of a tissue are, mm."""
+        return self.held[name](points) if name in self.held else self.deformation(points)
 
 
 class PosesOnTheWay:
@@ -93,7 +115,7 @@ class PosesOnTheWay:
     def __init__(self, stage: Stage, poses: tuple[Pose, Pose], ends: tuple[Anatomy, Anatomy]) -> None:
         self._stage, self._ends = stage, ends
         self._first, self._second = poses
-        self._maps: dict[float, Deformation | MusclefitError] = {}
+        self._maps: dict[float, _Map | MusclefitError] = {}
         self._pairs: set[Names] = set()
 
     @property
@@ -143,8 +165,8 @@ class PosesOnTheWay:
                 a, b = edges.ends.T
                 along = surface.vertices[b] - surface.vertices[a]
                 bent = np.zeros(len(a), dtype=bool)
-                for map_ in maps:
-                    jacobians = map_.jacobian(surface.vertices)
+                for map_ in (map_ for map_ in maps if name not in map_.held):
+                    jacobians = map_.deformation.jacobian(surface.vertices)
                     turned = np.einsum("eij,ej->ei", jacobians[b] - jacobians[a], along)
                     bent |= np.linalg.norm(turned, axis=1) / 8.0 > chord
                 if not bent.any():
@@ -158,10 +180,10 @@ class PosesOnTheWay:
         rest = Anatomy(tuple(tissues), given.frame)
         for number, moment in enumerate((0.0, 1.0)):
             self._require_frame(self._ends[number], self._map(moment), names)
-        posed = tuple(Posed(rest.with_vertices(map_(rest.vertices())), map_.with_jacobian) for map_ in maps)
+        posed = tuple(Posed(_posed(rest, map_), map_.deformation.with_jacobian) for map_ in maps)
         return Refined(rest, posed, chord, longest)
 
-    def _map(self, moment: float) -> Deformation:
+    def _map(self, moment: float) -> _Map:
         if moment not in self._maps:
             try:
                 self._maps[moment] = self._marched(self.pose(moment))
@@ -172,20 +194,24 @@ class PosesOnTheWay:
             raise made
         return made
 
-    def _require_frame(self, frame: Anatomy, map_: Deformation, names: Names) -> None:
+    def _require_frame(self, frame: Anatomy, map_: _Map, names: Names) -> None:
         """Raise where a frame is not what the map makes of it: then the map's way says nothing about it."""
         for name in names:
-            made = map_(self._stage.job.anatomy[name].surface.vertices)
+            made = map_.moved(name, self._stage.job.anatomy[name].surface.vertices)
             off = float(np.linalg.norm(made - frame[name].surface.vertices, axis=1).max())
             if not off <= SAME_MM:
                 raise PoseError(f"{name} is up to {off:.3g} mm off in a frame from where the map takes it")
 
-    def _marched(self, pose: Pose) -> Deformation:
+    def _marched(self, pose: Pose) -> _Map:
         job = posed_job(self._stage.job, pose)
         collision = collision_on_the_way(job, self._stage.bones)
         if collision is not None:
             raise PoseError(f"the pose at {pose.said} is refused: {collision_in_words(job, collision)}")
-        made = deform_finely(job, progress=Silent()).deformed.deformation
-        if made.status is not Status.CONVERGED:
-            raise PoseError(f"the method does not reach the pose at {pose.said}: {made.status.value}")
-        return made
+        made = deform_finely(job, progress=Silent()).deformed
+        if made.deformation.status is not Status.CONVERGED:
+            raise PoseError(f"the method does not reach the pose at {pose.said}: {made.deformation.status.value}")
+        return _Map(made.deformation, motions_of_held_bones(job, made))
+
+
+def _posed(rest: Anatomy, map_: _Map) -> Anatomy:
+    return rest.with_vertices(np.concatenate([map_.moved(t.name, t.surface.vertices) for t in rest]))

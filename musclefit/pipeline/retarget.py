@@ -290,14 +290,12 @@ class _Finisher:
 
     def _moved(self, made: Made) -> Carried:
         """The tissues moved by the map; bones that are held, by their rigid motions."""
-        deformed, moved = made.deformed, made.carried
-        held = [*(b for group in deformed.groups for b in group.bones), *(bone.name for bone in deformed.kept)]
-        if not held:
+        moved, motions = made.carried, motions_of_held_bones(self.job, made.deformed)
+        if not motions:
             return moved
-        motions = _motions(self.job, deformed)
         tissues = tuple(
             moved.rest[t.name].with_vertices(motions[t.name](moved.rest[t.name].surface.vertices))
-            if t.name in held
+            if t.name in motions
             else t
             for t in moved.deformed
         )
@@ -428,6 +426,12 @@ def _joint_ranges(job: Job, progress: Progress) -> tuple[tuple[JointRange, ...],
             return ranges_of(job, posed_only=True), ()
         except MeshError as error:
             return (), (Finding("joints", "joint-range-unknown", f"the joints' free ranges are not known: {error}"),)
+
+
+def motions_of_held_bones(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
+    """Where the bones of the anatomy go that are held: by motions of their own, and not by the map."""
+    held = {*(b for group in deformed.groups for b in group.bones), *(bone.name for bone in deformed.kept)}
+    return {name: motion for name, motion in _motions(job, deformed).items() if name in held} if held else {}
 
 
 def _held_bones(job: Job, deformed: Deformed) -> tuple[HeldBones, ...]:

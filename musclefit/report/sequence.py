@@ -203,13 +203,23 @@ class SequenceReport:
             value, place = max(off)
             checks.append(Check("rest pose off rest", value, REST_MM, "mm", place, next_step=next_steps.OFF_REST))
         if self.between:
-            checks += _between_checks(self.between)
+            checks += _between_checks(self.between, self.limits)
         return tuple(checks)
 
     @property
     def verdict(self) -> Verdict:
         """Passed when every check passed."""
         return verdict_of(self.checks)
+
+    @property
+    def looked_closer(self) -> int:
+        """Meetings of given triangles that were looked at with finer ones."""
+        return sum(passage.triangles > 0 for b in self.between for passage in b.passages)
+
+    @property
+    def proved_free(self) -> int:
+        """Pairs of consecutive frames between which it is proved that no given triangles of two tissues meet."""
+        return sum(b.proved_free for b in self.between)
 
 
 def summary_of(record: Mapping[str, Any]) -> FrameSummary:
@@ -248,6 +258,8 @@ def sequence_to_json(report: SequenceReport) -> dict[str, Any]:
         "limits": dict(report.limits),
         "checks": [_plain_check(check) for check in report.checks],
         "frames": [_frame(frame) for frame in report.frames],
+        "proved_free_between": report.proved_free,
+        "looked_closer_between": report.looked_closer,
         "between": [_between(between) for between in report.between],
         "cpu_s": dict(report.cpu_s),
         "provenance": dict(report.provenance),
@@ -286,9 +298,9 @@ def _badness(check: Check) -> float:
     return math.inf if math.isnan(check.value) else check.value
 
 
-def _between_checks(between: Sequence[BetweenSummary]) -> list[Check]:
+def _between_checks(between: Sequence[BetweenSummary], limits: Mapping[str, float | None]) -> list[Check]:
     left = [b for b in between if b.problem]
-    return [
+    checks = [
         _meeting_check(
             "passed through between frames", between, MeetingKind.THROUGH, next_step=next_steps.PASSED_THROUGH
         ),
@@ -302,6 +314,26 @@ def _between_checks(between: Sequence[BetweenSummary]) -> list[Check]:
             next_step=next_steps.NOT_EXAMINED,
         ),
     ]
+    overlaps = [
+        (p.most_overlap_mm3, _meeting_place(b, p))
+        for b in between
+        for p in b.passages
+        if not MeetingKind(p.kind).fails and not math.isnan(p.most_overlap_mm3)
+    ]
+    if overlaps:
+        worst, place = max(overlaps)
+        limit = limits["introduced_overlap_mm3"]
+        checks.append(
+            Check(
+                "introduced overlap between frames",
+                worst,
+                limit,
+                "mm³",
+                place if worst else "",
+                next_step=next_steps.NEW_OVERLAP,
+            )
+        )
+    return checks
 
 
 def _meeting_check(name: str, between: Sequence[BetweenSummary], kind: MeetingKind, *, next_step: str) -> Check:
@@ -310,7 +342,7 @@ def _meeting_check(name: str, between: Sequence[BetweenSummary], kind: MeetingKi
     place = ""
     if found:
         b, p = found[0]
-        place = f"{p.a} / {p.b} at {p.time_s:.4g} s, between frames {b.first} and {b.second}"
+        place = _meeting_place(b, p)
         place += f": {p.note}" if p.note else ""
     return Check(name, float(len(found)), 0.0, "pairs", place, next_step=next_step)
 
@@ -319,6 +351,11 @@ def _frames_check(name: str, frames: Sequence[FrameSummary], *, next_step: str) 
     """No frame may have ended so."""
     problem = frames[0].problem if frames else ""
     return Check(name, float(len(frames)), 0.0, "frames", problem, next_step=next_step)
+
+
+def _meeting_place(between: BetweenSummary, passage: PassageSummary) -> str:
+    where = f"between frames {between.first} and {between.second}"
+    return f"{passage.a} / {passage.b} at {passage.time_s:.4g} s, {where}"
 
 
 def _place(frame: FrameSummary) -> str:

@@ -148,8 +148,35 @@ class _Seen:
         return max((volume for volume in self.introduced if not math.isnan(volume)), default=0.0)
 
 
+def told_by_frames(passage: Passage, rest: Anatomy) -> Look | None:
+    """What a meeting of given triangles is where no pose on the way is needed to tell; None where one is.
+
+    Parameters
+    ----------
+    passage : Passage
+    rest : Anatomy
+        The given triangles at rest.
+
+    Returns
+    -------
+    Look or None
+        "touching at the start" where the tissues overlap in the first frame or at rest, or touch in the first frame and
+        come to meet nowhere else on the way.
+    """
+    if passage.overlap_before_mm3 > ROUNDING_MM3:
+        return Look(MeetingKind.TOUCHES, note="overlapping in the frame before")
+    if passage.touching and not passage.further:
+        return Look(MeetingKind.TOUCHES, note="in the frame before, and meeting nowhere else")
+    if shared_volume(rest, passage.a, passage.b) > ROUNDING_MM3:
+        return Look(MeetingKind.TOUCHES, note="overlapping at rest")
+    return None
+
+
 def looked_at(passage: Passage, rest: Anatomy, poses: PosesBetween) -> Look:
     """What a meeting of given triangles turns out to be; looked at closer where the frames do not tell.
+
+    Tissues that touch at rest touch in every pose, so that triangles always meet: where nothing worse is found, they
+    are "touching at the start", and the note says what was not settled.
 
     Parameters
     ----------
@@ -157,24 +184,17 @@ def looked_at(passage: Passage, rest: Anatomy, poses: PosesBetween) -> Look:
     rest : Anatomy
         The given triangles at rest.
     poses : PosesBetween
-
-    Returns
-    -------
-    Look
-        "touching at the start" where the tissues overlap in the first frame or at rest, or touch there and come to meet
-        nowhere else on the way: no pose on the way is made for these. What else touches at the start is looked at, and
-        fails only by an overlap in a pose.
     """
+    told = told_by_frames(passage, rest)
+    if told is not None:
+        return told
     names = (passage.a, passage.b)
-    if passage.overlap_before_mm3 > ROUNDING_MM3 or (passage.touching and not passage.further):
-        return Look(MeetingKind.TOUCHES, note="in the frame before")
-    if shared_volume(rest, *names) > ROUNDING_MM3:
-        return Look(MeetingKind.TOUCHES, note="overlapping at rest")
     look = look_closer(names, poses)
-    at_rest = len(crossings_between(*(rest[name].surface for name in names))) > 0
-    if look.kind is MeetingKind.UNSETTLED and (passage.touching or at_rest):
-        return replace(look, kind=MeetingKind.TOUCHES, note=f"and {look.note}; no pose shows an overlap")
-    return look
+    if look.kind is not MeetingKind.UNSETTLED or not look.triangles:
+        return look
+    if not len(crossings_between(*(rest[name].surface for name in names))):
+        return look
+    return replace(look, kind=MeetingKind.TOUCHES, note=f"touching at rest; {look.note}")
 
 
 def look_closer(names: Names, poses: PosesBetween) -> Look:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from tiny_rigs import drive_by_joints, write_tiny_rig
 import musclefit
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline import between
 from musclefit.pipeline.between import MAX_POSES, PoseError, PosesOnTheWay, between_frames
 from musclefit.pipeline.sequence import Stage
 from musclefit.rig.motion import Pose
 from musclefit.validate.closer import MeetingKind
+from musclefit.validate.passing import PassageCheck
 
 pytest.importorskip("ipctk")
 
@@ -23,13 +26,29 @@ PAIR = ("bone_distal", "muscle_flexor")
 POSES = Pose(0, 0.0, (("elbow", 0.0),)), Pose(1, 1.0, (("elbow", 40.0),))
 
 
+FREE = ("deformer.path=joints", "certificate.max_boxes=2000")
+HELD = (
+    *FREE,
+    "bones.rigid=true",
+    "deformer.kernel=isochoric-r3",
+    "deformer.step=cayley",
+    "bones.lattices_mm=[16]",  # coarse, and few iterations: the map itself misses the bones
+    "bones.iterations=2",
+)
+
+
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path: Path = write_tiny_rig(tmp_path_factory.mktemp("tiny") / "rig")
     drive_by_joints(path)
     joints = path.with_name("joints.toml")
     joints.write_text(joints.read_text(encoding="utf-8").replace("[-5, 60]", "[-175, 175]"), encoding="utf-8")
-    return Stage.of(musclefit.read_rig(path, overrides=("deformer.path=joints", "certificate.max_boxes=2000")))
+    return path
+
+
+@pytest.fixture(scope="module")
+def stage(rig: Path) -> Stage:
+    return Stage.of(musclefit.read_rig(rig, overrides=FREE))
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +88,21 @@ def test_the_pose_half_way_is_the_frame_of_half_the_angle(stage: Stage, ends: tu
     given = half["muscle_flexor"].surface.vertices
     moved = refined.posed[1].anatomy["muscle_flexor"].surface.vertices
     np.testing.assert_allclose(moved[: len(given)], given, atol=1e-9)
+
+
+def test_bones_that_are_held_go_by_their_own_motions(rig: Path) -> None:
+    stage = Stage.of(musclefit.read_rig(rig, overrides=HELD))
+    first, second = (stage.frame(pose).anatomy for pose in POSES)
+    assert first is not None
+    assert second is not None
+    refined = PosesOnTheWay(stage, POSES, (first, second)).refined(PAIR, [0.0, 0.5, 1.0], fineness=0)
+    rest = refined.rest["bone_distal"].surface.vertices
+    assert len(rest) > len(stage.job.anatomy["bone_distal"].surface.vertices)
+    for posed, degrees in zip(refined.posed, (0.0, 20.0, 40.0), strict=True):
+        turn = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), angle_deg=degrees)
+        np.testing.assert_allclose(posed.anatomy["bone_distal"].surface.vertices, turn(rest), atol=1e-9)
+    by_the_map = refined.posed[2].mapped(rest)[0]
+    assert np.linalg.norm(by_the_map - refined.posed[2].anatomy["bone_distal"].surface.vertices, axis=1).max() > 1e-3
 
 
 def test_no_more_poses_are_made_than_stated(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:
@@ -115,6 +149,10 @@ def test_a_graze_of_straight_ways_is_cleared_on_the_maps_own_way(stage: Stage, m
     ((_, unlooked),) = between_frames(stage, poses, frames).meetings
     assert (unlooked.kind, unlooked.triangles) == (MeetingKind.UNSETTLED, 0)
     assert "no more are" in unlooked.note
+    shown = replace(passage, overlap_after_mm3=2.0)
+    monkeypatch.setattr(between, "check_passages", lambda *_, **__: PassageCheck((shown,), 1))
+    ((_, entered),) = between_frames(stage, poses, frames).meetings
+    assert (entered.kind, entered.triangles) == (MeetingKind.ENTERS, 0)
     monkeypatch.undo()
     monkeypatch.setattr(between, "MAX_POSES", 2)
     ((_, unmade),) = between_frames(stage, poses, frames).meetings

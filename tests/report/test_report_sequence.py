@@ -51,9 +51,8 @@ def frame(number: int, landmark: float, *, gap: float | None = 0.5) -> FrameSumm
 
 
 def report(*frames: FrameSummary, between: tuple[BetweenSummary, ...] = ()) -> SequenceReport:
-    return SequenceReport(
-        "A <motion>", "even", frames, between, {"landmark_mm": 1e-6}, {"frames": 3.0}, {"version": "1"}
-    )
+    limits = {"landmark_mm": 1e-6, "introduced_overlap_mm3": 1.0}
+    return SequenceReport("A <motion>", "even", frames, between, limits, {"frames": 3.0}, {"version": "1"})
 
 
 def test_the_worst_frame_speaks_for_all() -> None:
@@ -105,7 +104,9 @@ def test_grazes_and_touches_are_told_and_do_not_fail() -> None:
     graze, told = said[0]["passages"]
     assert (graze["kind"], graze["poses"], graze["chord_mm"], graze["longest_mm"]) == (GRAZE.kind, 3, 0.005, 1.5)
     assert (told["triangles"], told["chord_mm"], told["note"]) == (0, None, "in the frame before")
+    assert (sequence_to_json(found)["proved_free_between"], sequence_to_json(found)["looked_closer_between"]) == (1, 1)
     page = render_sequence(found, pictures={})
+    assert "1 of the 2 meetings were looked at with finer triangles" in page
     assert "Between 1 of 2 pairs of frames it is proved that none do" in page
     assert "3 poses on the way, 4000 triangles, edges up to 1.5 mm, chord tolerance 0.005 mm" in page
     assert "touching at the start: in the frame before" in page
@@ -120,6 +121,18 @@ def test_what_is_not_settled_fails_and_what_was_not_examined_is_not_proved_free(
     assert failed.keys() == {"not settled between frames", "not examined between frames"}
     assert "triangles still meet on the way" in failed["not settled between frames"]
     assert not any(b.proved_free for b in found.between)
+
+
+@pytest.mark.parametrize(("overlap_mm3", "failed"), [(0.9, []), (1.1, ["introduced overlap between frames"])])
+def test_what_enters_is_held_against_the_limit_for_overlap_in_every_pose(overlap_mm3: float, failed: list[str]) -> None:
+    unknown = replace(GRAZE, most_overlap_mm3=float("nan"))
+    deep = replace(GRAZE, kind="enters", most_overlap_mm3=overlap_mm3)
+    between = (BetweenSummary(0, 1, (GRAZE, unknown, deep), 100),)
+    found = report(frame(0, 1e-9), frame(1, 1e-9), between=between)
+    assert [check.name for check in found.checks if not check.passed] == failed
+    (check,) = [c for c in found.checks if c.name == "introduced overlap between frames"]
+    assert (check.value, check.limit, check.unit) == (overlap_mm3, 1.0, "mm³")
+    assert "between frames 0 and 1" in check.place
 
 
 def test_measures_come_as_rows() -> None:

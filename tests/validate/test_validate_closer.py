@@ -171,6 +171,27 @@ def test_a_touch_at_the_start_does_not_hide_a_passage_elsewhere() -> None:
     assert look(rest, way).kind is MeetingKind.THROUGH
 
 
+def test_a_touch_of_coarse_triangles_in_the_first_frame_excuses_nothing_that_is_not_settled() -> None:
+    """Only tissues that touch at rest touch in every pose, however fine the triangles."""
+    apart = two(box((10, 10, 10), (30, 0, 0)), box((10, 10, 10), (0, 0, 0)))
+    at_rest = two(box((10, 10, 10), (10, 0, 0)), box((10, 10, 10), (0, 0, 0)))
+    passage = Passage(A, B, 0.2, 0.0, 0.0, touching=True, further=True)
+
+    def way(points: Points, moment: float) -> Points:
+        return points + np.array([0, 0, 20.0 * moment if moment < 1.0 else 0.0])
+
+    def sheared(rest: Anatomy) -> Way:
+        off = rest[A].surface.vertices[:, 0].mean() - 10.0
+        return lambda points, moment: way(points, moment) - np.array([off, 0, 0])
+
+    strict = looked_at(passage, apart, Poses(apart, sheared(apart), most=3))
+    assert (strict.kind, strict.triangles > 0) == (MeetingKind.UNSETTLED, True)
+    excused = looked_at(passage, at_rest, Poses(at_rest, sheared(at_rest), most=3))
+    assert (excused.kind, excused.note) == (MeetingKind.TOUCHES, f"touching at rest; {strict.note}")
+    unmade = looked_at(passage, at_rest, Poses(at_rest, sheared(at_rest), problem="no such pose"))
+    assert (unmade.kind, unmade.note) == (MeetingKind.UNSETTLED, "no such pose")
+
+
 def test_what_ends_in_an_overlap_is_seen_in_the_frame() -> None:
     rest, way = two(ball((-30, 0, 0)), ball((0, 0, 0))), straight((18, 0, 0))
     found = look(rest, way)

@@ -322,7 +322,8 @@ def _between_checks(between: Sequence[BetweenSummary], limits: Mapping[str, floa
     ]
     if overlaps:
         worst, place = max(overlaps)
-        limit = limits["introduced_overlap_mm3"]
+        known = limits["introduced_overlap_mm3"]
+        limit = math.inf if known is None else known
         checks.append(
             Check(
                 "introduced overlap between frames",

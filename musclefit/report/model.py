@@ -304,8 +304,8 @@ def checks_against(limits: Limits, side: Side) -> tuple[Check, ...]:
         checks += _bone_checks(side, bones, limits)
     if muscles:
         changes = [(t.name, abs(_measured(t.volume_change_percent))) for t in muscles]
-        keeps = KEEPS_VOLUME in side.method
-        step = next_steps.MUSCLES_STILL_CHANGE if keeps else next_steps.MUSCLES_CHANGE
+        step = next_steps.MUSCLES_CHANGE if _are_driven(bones) else next_steps.MUSCLES_CHANGE_FREELY
+        step = next_steps.MUSCLES_STILL_CHANGE if KEEPS_VOLUME in side.method else step
         limit = _or_none(limits.muscle_volume_percent)
         checks.append(_worst("muscle volume change", changes, limit, unit="%", next_step=step))
     apart, riding = _by_rest(side.overlaps.pairs)
@@ -327,14 +327,18 @@ def bone_limit(side: Side, bone: TissueCheck, limits: Limits) -> float:
     return limits.held_rigidity_mm if _is_held(side, bone) else math.inf
 
 
+def _are_driven(bones: tuple[TissueCheck, ...]) -> bool:
+    """Whether something says how bones move."""
+    return any(bone.rigidity_reference == PRESCRIBED for bone in bones)
+
+
 def _is_held(side: Side, bone: TissueCheck) -> bool:
     return side.bones is not None and bone.rigidity_reference == PRESCRIBED
 
 
 def _bone_checks(side: Side, bones: tuple[TissueCheck, ...], limits: Limits) -> list[Check]:
     """How far bones are off a rigid motion; where others have no limit, those that are held or kept have theirs."""
-    driven = any(bone.rigidity_reference == PRESCRIBED for bone in bones)
-    step = next_steps.BONES_BEND if driven else next_steps.BONES_BEND_FREELY
+    step = next_steps.BONES_BEND if _are_driven(bones) else next_steps.BONES_BEND_FREELY
     step = next_steps.BONES_LEFT_OUT if side.bones is not None else step
     by_limit: dict[float, list[tuple[str, float]]] = {}
     for bone in bones:

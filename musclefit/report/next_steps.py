@@ -49,9 +49,10 @@ BONES_LEFT_OUT = (
     "what nothing moves follows the soft tissue."
 )
 
-MUSCLES_CHANGE = (
-    f'Set {BEST} where joints or transforms move bones, else deformer.kernel = "isochoric-r3" and deformer.step = '
-    f'"cayley"; {ANOTHER_BODY} where muscles shall change.'
+MUSCLES_CHANGE = f"Set {BEST}, whose field keeps volume."
+MUSCLES_CHANGE_FREELY = (
+    f'Set deformer.kernel = "isochoric-r3" and deformer.step = "cayley", which keep volume, or {ANOTHER_BODY} where '
+    "muscles shall change."
 )
 MUSCLES_STILL_CHANGE = (
     "Set deformer.min_steps to twice the steps taken, and surfaces.refine = true: what is lost of a volume falls with "

@@ -81,8 +81,10 @@ def test_what_bones_need_depends_on_what_moves_them(make_side, make_tissue):
     assert "Name the bone in the drive" in step_of("bone off rigid", replace(free, bones=HELD))
 
 
-def test_what_muscles_need_depends_on_the_kernel(make_side):
-    assert "isochoric-r3" in step_of("muscle volume change", make_side())
+def test_what_muscles_need_depends_on_the_kernel_and_on_what_moves_bones(make_side, make_tissue):
+    assert step_of("muscle volume change", make_side()) == next_steps.MUSCLES_CHANGE
+    free = make_side(tissues=(make_tissue("biceps", "muscle"),))
+    assert 'limits.purpose = "another-body"' in step_of("muscle volume change", free)
     isochoric = make_side(method="implicit midpoint RBF, kernel isochoric-r3")
     assert "deformer.min_steps" in step_of("muscle volume change", isochoric)
 
@@ -102,9 +104,9 @@ def test_json_and_page_say_what_to_do(make_report, make_side, make_tissue):
     side = make_side(tissues=(make_tissue("biceps", "muscle", volume_change_percent=9.0),))
     report = make_report(result=side)
     (failed,) = [check for check in to_json(report)["checks"] if not check["passed"]]
-    assert failed["next_step"] == next_steps.MUSCLES_CHANGE
+    assert failed["next_step"] == next_steps.MUSCLES_CHANGE_FREELY
     page = render_html(report, pictures={})
-    assert "Next: Set deformer.method" in page
+    assert "Next: Set deformer.kernel" in page
     assert "Next:" not in render_html(make_report(), pictures={})
 
 

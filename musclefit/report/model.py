@@ -38,7 +38,7 @@ CONVERGED = "converged"
 KEEPS_VOLUME = "isochoric"
 """What the words for a method hold whose kernel keeps volume."""
 
-_FREE = {"bone_rigidity_mm": "how bones bend that nothing holds", "muscle_volume_percent": "the volume of muscles"}
+_FREE = {"bone_rigidity_mm": "the bending of free bones", "muscle_volume_percent": "the volume of muscles"}
 """Limits that a purpose may leave out, in words."""
 
 Verdict = Literal["passed", "failed"]

@@ -76,8 +76,10 @@ def to_json(report: Report | MeshReport) -> Json:
 
 def _limits(report: Report) -> Json:
     """What the result is held against, and why these."""
-    numbers = {name: _number(value) for name, value in report.limits.numbers.items()}
-    return {"purpose": report.limits.purpose.value, "because": report.purpose_because, **numbers}
+    limits = report.limits
+    numbers: Json = {name: _number(value) for name, value in limits.numbers.items()}
+    numbers["inverted_tets"] = int(limits.inverted_tets)
+    return {"purpose": limits.purpose.value, "because": report.purpose_because, **numbers}
 
 
 def _certificate_cost(seconds: Mapping[str, float]) -> Json | None:

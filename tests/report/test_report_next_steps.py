@@ -133,9 +133,10 @@ def test_another_body_is_told_and_not_failed(make_report, make_side, make_tissue
     assert (found["bone off rigid"]["value"], found["bone off rigid"]["place"]) == (7.0, "ulna")
     said = to_json(report)["limits"]
     assert (said["purpose"], said["because"], said["bone_rigidity_mm"]) == ("another-body", "a cage drives", None)
+    assert isinstance(said["inverted_tets"], int)
     page = render_html(report, pictures={})
     assert "Measured without a limit: bone off rigid, muscle volume change." in page
-    assert "for another body, because a cage drives; no limit on how bones bend" in page
+    assert "for another body, because a cage drives; no limit on the bending of free bones and the volume" in page
     assert 'td class="n off"' not in page
 
 

@@ -4,8 +4,9 @@ import sys
 
 import musclefit
 
-job = musclefit.read_rig(musclefit.find_rig("upper_limb"), overrides=["drive.pose.elbow_deg=60"])  # load, and drive
-result = musclefit.retarget(job, tets=None)  # deform by the paper's loop and in one shot; no tetrahedra: quick
+change = ["drive.pose.elbow_deg=60", "deformer.method=yu2014"]  # the paper's loop, quick; without it bones stay rigid
+job = musclefit.read_rig(musclefit.find_rig("upper_limb"), overrides=change)  # load, and drive
+result = musclefit.retarget(job, tets=None)  # deform by the method and in one shot; no tetrahedra
 report = musclefit.save(result, sys.argv[1])  # report.html, report.json, surfaces and pictures in one folder
 
 print(report.verdict, report.result.status, f"landmarks within {report.result.landmarks.max_error_mm:.1e} mm")

@@ -408,11 +408,23 @@ def test_a_reader_that_leaves_early_sees_no_traceback(rig: Path) -> None:
 # --- demo
 
 
-def test_the_demo_bends_the_built_in_limb(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = main(["demo", "--out", str(out), "--no-tets", "--json"])
+def test_the_demo_runs_the_best_method_on_the_built_in_limb(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[object, ...]] = []
+
+    def run(rig: Path, overrides: tuple[str, ...], **options: object) -> int:
+        asked.append((rig.name, overrides, options["out"]))
+        return 0
+
+    monkeypatch.setattr("musclefit.cli.commands._run", run)
+    assert main(["demo", "--out", str(out)]) == 0
+    assert asked == [("upper_limb.toml", (), out)]
+
+
+def test_the_built_in_limb_arrives_by_the_papers_loop(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = ["--set", "deformer.method=yu2014", "--no-tets", "--json"]
+    assert main(["run", "upper_limb", "--out", str(out), *loop]) == 1
     report = json.loads(capsys.readouterr().out)
     assert report == read(out)
-    assert code == (0 if report["verdict"] == "passed" else 1)
     assert (report["status"], report["title"]) == (
         "converged",
         "Built-in upper limb: elbow 75 deg, forearm turn 70 deg",
@@ -420,3 +432,19 @@ def test_the_demo_bends_the_built_in_limb(out: Path, capsys: pytest.CaptureFixtu
     assert report["landmarks"]["max_error_mm"] <= 1e-6
     assert report["map"]["folded_points"] == 0
     assert len(report["tissues"]) == 12
+    failed = {check["name"]: check["next_step"] for check in report["checks"] if not check["passed"]}
+    assert set(failed) == {"bone off rigid", "muscle volume change"}
+    assert all('deformer.method = "rigid-bones"' in step for step in failed.values())
+
+
+@pytest.mark.slow
+def test_the_demo_passes_beside_the_papers_loop_and_one_shot(out: Path) -> None:
+    assert main(["demo", "--out", str(out), "--quiet"]) == 0
+    report = read(out)
+    assert report["verdict"] == "passed"
+    assert (report["map"]["claim"], report["mesh"]["claim"]) == ("certified", "certified")
+    beside = report["paper_loop"], report["baseline"]
+    assert [side["verdict"] for side in beside] == ["failed", "failed"]
+    assert (beside[0]["status"], beside[0]["map"]["folded_points"]) == ("converged", 0)
+    assert beside[1]["map"]["folded_points"] > 0
+    assert max(tissue["rigidity_mm"] or 0.0 for tissue in report["tissues"]) <= 0.01

@@ -50,7 +50,7 @@ def test_the_retargeting_script_writes_its_report(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert report["landmarks"]["max_error_mm"] <= 1e-6
-    assert report["provenance"]["settings"]["overrides"] == ["drive.pose.elbow_deg=60"]
+    assert report["provenance"]["settings"]["overrides"] == ["drive.pose.elbow_deg=60", "deformer.method=yu2014"]
     first, *checks = ended.stdout.splitlines()
     assert first.startswith(f"{report['verdict']} {report['status']} landmarks within")
     said = [re.fullmatch(r"(ok|FAIL) +(.+): \S+ .*", line) for line in checks]

@@ -268,7 +268,13 @@ def test_methods_speak_of_keys_that_exist_and_agree_with_themselves() -> None:
 
 @pytest.mark.parametrize(
     ("rig", "method"),
-    [("forearm", "yu2014"), ("forearm_rigid", "own"), ("forearm_motion", "own"), ("leg_jump", "own")],
+    [
+        ("upper_limb", "rigid-bones"),
+        ("forearm", "yu2014"),
+        ("forearm_rigid", "own"),
+        ("forearm_motion", "own"),
+        ("leg_jump", "own"),
+    ],
 )
 def test_rigs_that_come_along_say_how_they_deform(rig: str, method: str) -> None:
     written = tomllib.loads((RIGS / f"{rig}.toml").read_text(encoding="utf-8"))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from musclefit.errors import FieldError
 from musclefit.fields import weights
 from musclefit.fields.protocol import Field
-from musclefit.geometry.arrays import Bool, Float, Gradients, Points, frozen
+from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
 ROUNDING = 1e-13
 """Of computed gradients and eigenvalues, in units of the sizes that they are made of."""
@@ -60,6 +60,31 @@ class WeightLattice:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "low", frozen(self.low))
+
+    @classmethod
+    def of(
+        cls, low: Float, spacing_mm: float, *, bricks: NDArray[np.int32], places: Int, inner: NDArray[np.uint16]
+    ) -> Self:
+        """From the values of every brick's own nodes; bricks that see no other value than 0 or 1 need no row.
+
+        Parameters
+        ----------
+        low : (3,) float64, mm
+        spacing_mm : float
+        bricks : (b0, b1, b2) int32
+            As the record's, with rows of ``inner``.
+        places : (R, 3) int64
+            The brick of each row.
+        inner : (R, 8, 8, 8) uint16
+        """
+        values = np.empty((len(inner), weights.ACROSS**3), dtype=np.uint16)
+        weights.with_borders(bricks, places, inner, values)
+        nothing, whole = (values == 0).all(axis=1), (values == weights.ONE).all(axis=1)
+        kept = ~(nothing | whole)
+        rows = np.where(nothing, weights.NOTHING, np.where(whole, weights.WHOLE, np.cumsum(kept) - 1))
+        fewer = bricks.copy()
+        fewer[tuple(places.T)] = rows
+        return cls(low, spacing_mm, fewer, values[kept])
 
     def at(self, points: Points) -> tuple[Float, Points]:
         """Weights (N,) and gradients (N, 3), per mm, at (N, 3) points in the lattice's frame."""

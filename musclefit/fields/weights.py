@@ -86,6 +86,34 @@ def weights_at(low, h, bricks, values, points, weights, gradients):
 
 
 @njit(parallel=True, cache=True)
+def with_borders(bricks, places, inner, values):
+    """Write rows (R, 1000) from the values (R, 8, 8, 8) of every brick's own nodes and those of the bricks around.
+
+    ``places`` (R, 3) says which brick a row belongs to. A node has one value, whichever brick it is seen from: only so
+    the sum is continuous from brick to brick.
+    """
+    for row in prange(len(places)):
+        for i in range(ACROSS):
+            for j in range(ACROSS):
+                for k in range(ACROSS):
+                    a = places[row, 0] * SIDE + i - 1
+                    b = places[row, 1] * SIDE + j - 1
+                    c = places[row, 2] * SIDE + k - 1
+                    value = 0
+                    if (
+                        0 <= a < bricks.shape[0] * SIDE
+                        and 0 <= b < bricks.shape[1] * SIDE
+                        and 0 <= c < bricks.shape[2] * SIDE
+                    ):
+                        there = bricks[a // SIDE, b // SIDE, c // SIDE]
+                        if there == -2:
+                            value = 65535
+                        elif there >= 0:
+                            value = np.int64(inner[there, a % SIDE, b % SIDE, c % SIDE])
+                    values[row, (i * ACROSS + j) * ACROSS + k] = value
+
+
+@njit(parallel=True, cache=True)
 def brick_ranges(values, out):
     """For each brick (R, 1000) write (R, 5): lowest and highest value, and largest difference along each axis."""
     for row in prange(values.shape[0]):

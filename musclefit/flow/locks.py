@@ -16,25 +16,22 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
+from musclefit.errors import FieldError
 from musclefit.fields.locked import Lock, WeightLattice
-from musclefit.fields.weights import ACROSS, NOTHING, SIDE, WHOLE
-from musclefit.geometry.arrays import Bool, Float, Points
+from musclefit.fields.weights import NOTHING, SIDE, WHOLE
+from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.surface_samples import surface_samples
 
-SAMPLED = 0.7
-"""Spacing of the samples of a surface that distances are taken to, in units of the lattice's spacing."""
+SAMPLED = 0.6
+"""How far a place of a surface may be from a sample of it, in units of the lattice's spacing."""
 
-THINNED = 3.0
-"""The same, of those that distances are taken to; near the surface `SEALS` decides."""
+SPLINE = 1.5
+"""Half width of a spline along each axis, in units of the lattice's spacing."""
 
-SEES = 2.65
-"""Nodes this near a sample, in units of the spacing, may have splines that reach the surface: the half width 3/2 of a
-spline along each axis, times the root of 3, and the samples' own spacing."""
-
-SEALS = 1.95
-"""Nodes this near a sample along every axis, in units of the spacing, have the weight 1: the half width 3/2 of a spline
-and what the samples leave between them."""
+WHOLE_FROM = 1.6
+"""Where another bone is farther than this times the gap in which none is locked, a bone is locked whole."""
 
 FAR = np.float32(1e6)
 """Distance of what is out of reach, mm."""
@@ -42,7 +39,7 @@ FAR = np.float32(1e6)
 
 @dataclass(frozen=True, eq=False)
 class BoneDistances:
-    """Distances around a group of bones at rest, on the nodes of a lattice in bricks.
+    """Distances around a group of bones at rest, on the nodes of a lattice in bricks (`musclefit.fields.weights`).
 
     Parameters
     ----------
@@ -50,25 +47,31 @@ class BoneDistances:
     spacing_mm : float
     bricks : (b0, b1, b2) int32
         Row of distances, or ``NOTHING`` (out of reach), or ``WHOLE`` (deep within).
-    distances : (R, 1000) float32, mm
-        0 within the bones; laid out as the values of `musclefit.fields.weights`.
-    fade_mm : float
-        Where weights have faded.
+    places : (R, 3) int64
+        The brick of each row.
+    distances : (R, 8, 8, 8) float32, mm
+        Of the bricks' own nodes; 0 within the bones and wherever a node's spline reaches their surface.
     """
 
     low: Float
     spacing_mm: float
     bricks: NDArray[np.int32]
+    places: Int
     distances: NDArray[np.float32]
-    fade_mm: float
 
     @property
-    def sees_mm(self) -> float:
-        """Nodes within this of the surface have splines that may reach it."""
-        return SEES * self.spacing_mm
+    def held_mm(self) -> float:
+        """Where weights begin to fade: beyond every node whose spline reaches the surface."""
+        return held_mm(self.spacing_mm)
+
+    @property
+    def corners(self) -> Points:
+        """(R, 3) first nodes of the rows' bricks, mm."""
+        first: Points = self.low + self.places * (SIDE * self.spacing_mm)
+        return first
 
     @classmethod
-    def around(cls, surface: TriMesh, *, spacing_mm: float, fade_mm: float) -> BoneDistances:
+    def around(cls, surface: TriMesh, *, spacing_mm: float, known_mm: float) -> BoneDistances:
         """Of the bones that closed surfaces bound.
 
         Parameters
@@ -76,84 +79,53 @@ class BoneDistances:
         surface : TriMesh
         spacing_mm : float
             Of the lattice's nodes.
-        fade_mm : float
-            Distances are known this far from the surface.
+        known_mm : float
+            Distances are known this far from the surface, within the bones, too.
         """
-        h = spacing_mm
-        samples = surface_grid(surface, spacing_mm=SAMPLED * h)
-        reach = fade_mm + 2.0 * h
-        side = SIDE * h
-        low = np.floor((samples.min(axis=0) - reach) / side) * side + 0.5 * h
-        shape = np.ceil((samples.max(axis=0) + reach - low) / side).astype(np.int64) + 1
-        thinned = surface_grid(surface, spacing_mm=THINNED * h)
-        near = _bricks_near(thinned, low, side, shape, reach)
+        h, side = spacing_mm, SIDE * spacing_mm
+        samples = surface_samples(surface, spacing_mm=SAMPLED * h)
+        # 1e-6: what rounding adds to a node's place in units of the spacing.
+        seals = SPLINE + samples.gap_mm / h + 1e-6
+        reach = max(known_mm, np.sqrt(3.0) * seals * h) + 2.0 * h
+        low = np.floor((surface.vertices.min(axis=0) - reach) / side) * side + 0.5 * h
+        shape = np.ceil((surface.vertices.max(axis=0) + reach - low) / side).astype(np.int64) + 1
+        near = _bricks_near(samples.points, low, h, shape, reach)
         bricks = np.full(tuple(shape), NOTHING, dtype=np.int32)
         bricks[tuple(near.T)] = np.arange(len(near))
-        inside = _inside(samples, low, side, shape)
-        bricks[inside & (bricks == NOTHING)] = WHOLE
+        bricks[_inside(samples.points, low, side, shape) & (bricks == NOTHING)] = WHOLE
         inner = np.empty((len(near), SIDE, SIDE, SIDE), dtype=np.float32)
-        _propagate(near, low, h, thinned, *_coarse(thinned, near, low, side), inner)
-        _seal(samples, low, h, bricks, np.float64(SEALS), inner)
-        state = np.zeros(inner.shape, dtype=np.uint8)
-        _flood(bricks, inner > 0.0, state, near, shape)
-        inner[state == 0] = 0.0
-        distances = np.full((len(near), ACROSS**3), FAR, dtype=np.float32)
-        _with_borders(bricks, inner, near, distances)
-        return cls(low, h, bricks, distances, fade_mm)
-
-    def weights(self) -> WeightLattice:
-        """The weights where no other bone is near."""
-        values = _faded(self.distances, self.sees_mm, self.fade_mm)
-        return WeightLattice(self.low, self.spacing_mm, self.bricks, values)
+        _propagate(near, low, h, samples.points, *_coarse(samples.points, near, low, side), inner)
+        _seal(samples.points, low, h, bricks, seals, inner)
+        outside = np.zeros(inner.shape, dtype=np.bool_)
+        _flood(bricks, inner > 0.0, outside, near)
+        inner[~outside] = 0.0
+        return cls(low, h, bricks, near, inner)
 
 
-def surface_grid(surface: TriMesh, *, spacing_mm: float) -> Points:
-    """(N, 3) points of a surface: none of its places is farther than about 0.6 times the spacing from one, mm."""
-    corners = surface.vertices[surface.faces]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    cuts = np.maximum(np.ceil(sides / spacing_mm).astype(int), 1)
-    parts = [surface.vertices]
-    for n in np.unique(cuts):
-        a, b, c = corners[cuts == n].transpose(1, 0, 2)
-        if n == 1:
-            parts.append((a + b + c) / 3.0)
-            continue
-        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-        kept = i + j <= n
-        u, v = i[kept] / n, j[kept] / n
-        places = a[:, None] + u[None, :, None] * (b - a)[:, None] + v[None, :, None] * (c - a)[:, None]
-        parts.append(places.reshape(-1, 3))
-    points = np.concatenate(parts)
-    cells = np.floor(points / (0.35 * spacing_mm)).astype(np.int64)
-    cells -= cells.min(axis=0)
-    spans = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]
-    kept_first: Points = points[np.unique(keys, return_index=True)[1]]
-    return kept_first
+def held_mm(spacing_mm: float) -> float:
+    """How far from a surface a node may be whose spline reaches it, at most, mm."""
+    return float(np.sqrt(3.0)) * (SPLINE + SAMPLED) * spacing_mm
 
 
-def _bricks_near(samples: Points, low: Float, side: float, shape: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    """Indices (R, 3) of the bricks that have a place within reach of a sample."""
-    own = np.unique(np.floor((samples - low) / side + 1e-9).astype(np.int64), axis=0)
+def _bricks_near(samples: Points, low: Float, h: float, shape: Int, reach: float) -> Int:
+    """Indices (R, 3) of the bricks that have a node within reach of a sample, and of some more."""
+    side, half = SIDE * h, 0.5 * (SIDE - 1) * h
+    own = np.unique(np.floor((samples - low) / side + 0.5 / SIDE).astype(np.int64), axis=0)
     span = int(np.ceil(reach / side)) + 1
     steps = np.stack(np.meshgrid(*[np.arange(-span, span + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    gaps = np.maximum(np.abs(steps) - 1, 0) * side
-    steps = steps[np.linalg.norm(gaps, axis=1) <= reach]
     seen = np.zeros(tuple(shape), dtype=bool)
     for step in steps:
         moved = own + step
         kept = ((moved >= 0) & (moved < shape)).all(axis=1)
         seen[tuple(moved[kept].T)] = True
     candidates = np.argwhere(seen)
-    centres = low + (candidates + 0.5) * side
-    distances = cKDTree(samples).query(centres, distance_upper_bound=reach + 0.87 * side + side)[0]
-    found: NDArray[np.int64] = candidates[distances <= reach + 0.87 * side]
+    limit = reach + np.sqrt(3.0) * half
+    distances = cKDTree(samples).query(low + candidates * side + half, distance_upper_bound=1.01 * limit)[0]
+    found: Int = candidates[distances <= limit]
     return found
 
 
-def _coarse(
-    samples: Points, near: NDArray[np.int64], low: Float, side: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _coarse(samples: Points, near: Int, low: Float, side: float) -> tuple[Int, Int]:
     """For every brick the numbers (R, 27) of the samples nearest to its corners, its centre and what is half way."""
     steps = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     places = (2 * near[:, None, :] + steps).reshape(-1, 3)
@@ -187,8 +159,7 @@ def _propagate(near, low, h, samples, nearest, steps, inner):
 
 @njit(cache=True)
 def _seal(samples, low, h, bricks, seals, inner):
-    """Write 0 at every node within ``seals`` spacings of a sample along each axis."""
-    side = inner.shape[1]
+    """Write 0 at every node within ``seals`` spacings of a sample along each axis: all bricks there have rows."""
     first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)
     for s in range(len(samples)):
         for axis in range(3):
@@ -197,11 +168,13 @@ def _seal(samples, low, h, bricks, seals, inner):
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
                 for k in range(first[2], last[2] + 1):
-                    row = bricks[i // side, j // side, k // side]
-                    inner[row, i % side, j % side, k % side] = np.float32(0.0)
+                    row = bricks[i // SIDE, j // SIDE, k // SIDE]
+                    if row < 0:
+                        raise IndexError("a node beside the surface is in no brick near it")
+                    inner[row, i % SIDE, j % SIDE, k % SIDE] = np.float32(0.0)
 
 
-def _inside(samples: Points, low: Float, side: float, shape: NDArray[np.int64]) -> Bool:
+def _inside(samples: Points, low: Float, side: float, shape: Int) -> Bool:
     """Bricks that no surface goes through and that cannot be left without crossing one."""
     crossed = np.zeros(tuple(shape), dtype=bool)
     for step in np.ndindex(2, 2, 2):
@@ -220,95 +193,44 @@ def _faces(axis: int) -> tuple[tuple[int | slice, ...], tuple[int | slice, ...]]
     return tuple(first), tuple(last)
 
 
+@njit(inline="always")
+def _beside(a, b, c, axis, way):
+    """One step along an axis."""
+    return a + (way if axis == 0 else 0), b + (way if axis == 1 else 0), c + (way if axis == 2 else 0)
+
+
 @njit(cache=True)
-def _flood(bricks, free, state, places, shape):
-    """Mark free nodes that are joined to bricks out of reach, or to the lattice's border, in ``state``."""
-    side = free.shape[1]
-    stack = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
+def _flood(bricks, free, outside, places):
+    """Mark the free nodes that are joined to bricks out of reach, or to the lattice's border."""
+    stack = [(np.int64(0), np.int64(0), np.int64(0))]
     stack.pop()
+    shape = (bricks.shape[0] * SIDE, bricks.shape[1] * SIDE, bricks.shape[2] * SIDE)
     for row in range(len(places)):
-        for axis in range(3):
-            for way in (-1, 1):
-                a, b, c = places[row, 0], places[row, 1], places[row, 2]
-                if axis == 0:
-                    a += way
-                elif axis == 1:
-                    b += way
-                else:
-                    c += way
-                beyond = not (0 <= a < shape[0] and 0 <= b < shape[1] and 0 <= c < shape[2])
-                if not beyond and bricks[a, b, c] != -1:
-                    continue
-                at = 0 if way < 0 else side - 1
-                for p in range(side):
-                    for q in range(side):
-                        i = at if axis == 0 else p
-                        j = at if axis == 1 else (p if axis == 0 else q)
-                        k = at if axis == 2 else q
-                        if free[row, i, j, k] and state[row, i, j, k] == 0:
-                            state[row, i, j, k] = 1
-                            stack.append((np.int64(row), np.int64(i), np.int64(j), np.int64(k)))
+        for i in range(SIDE):
+            for j in range(SIDE):
+                for k in range(SIDE):
+                    if (SIDE - 1 > i > 0 and SIDE - 1 > j > 0 and SIDE - 1 > k > 0) or not free[row, i, j, k]:
+                        continue
+                    x, y, z = places[row, 0] * SIDE + i, places[row, 1] * SIDE + j, places[row, 2] * SIDE + k
+                    for axis in range(3):
+                        for way in (-1, 1):
+                            a, b, c = _beside(x, y, z, axis, way)
+                            beyond = not (0 <= a < shape[0] and 0 <= b < shape[1] and 0 <= c < shape[2])
+                            beyond = beyond or bricks[a // SIDE, b // SIDE, c // SIDE] == -1
+                            if beyond and not outside[row, i, j, k]:
+                                outside[row, i, j, k] = True
+                                stack.append((x, y, z))
     while len(stack):
-        row, i, j, k = stack.pop()
+        x, y, z = stack.pop()
         for axis in range(3):
             for way in (-1, 1):
-                x, y, z, r = i, j, k, row
-                if axis == 0:
-                    x += way
-                elif axis == 1:
-                    y += way
-                else:
-                    z += way
-                a, b, c = places[row, 0], places[row, 1], places[row, 2]
-                if x < 0 or x >= side:
-                    a += way
-                    x = side - 1 if way < 0 else 0
-                elif y < 0 or y >= side:
-                    b += way
-                    y = side - 1 if way < 0 else 0
-                elif z < 0 or z >= side:
-                    c += way
-                    z = side - 1 if way < 0 else 0
+                a, b, c = _beside(x, y, z, axis, way)
                 if not (0 <= a < shape[0] and 0 <= b < shape[1] and 0 <= c < shape[2]):
                     continue
-                r = bricks[a, b, c]
-                if r < 0:
-                    continue
-                if free[r, x, y, z] and state[r, x, y, z] == 0:
-                    state[r, x, y, z] = 1
-                    stack.append((np.int64(r), np.int64(x), np.int64(y), np.int64(z)))
-
-
-@njit(parallel=True, cache=True)
-def _with_borders(bricks, inner, places, distances):
-    """Lay out nodes as values are, with those of the neighbouring bricks around."""
-    side = inner.shape[1]
-    across = side + 2
-    for row in prange(len(places)):
-        for i in range(across):
-            for j in range(across):
-                for k in range(across):
-                    a, b, c = places[row, 0], places[row, 1], places[row, 2]
-                    x, y, z = i - 1, j - 1, k - 1
-                    if x < 0:
-                        a, x = a - 1, side - 1
-                    elif x >= side:
-                        a, x = a + 1, 0
-                    if y < 0:
-                        b, y = b - 1, side - 1
-                    elif y >= side:
-                        b, y = b + 1, 0
-                    if z < 0:
-                        c, z = c - 1, side - 1
-                    elif z >= side:
-                        c, z = c + 1, 0
-                    if not (0 <= a < bricks.shape[0] and 0 <= b < bricks.shape[1] and 0 <= c < bricks.shape[2]):
-                        continue
-                    r = bricks[a, b, c]
-                    if r == -2:
-                        distances[row, (i * across + j) * across + k] = np.float32(0.0)
-                    elif r >= 0:
-                        distances[row, (i * across + j) * across + k] = inner[r, x, y, z]
+                row, i, j, k = bricks[a // SIDE, b // SIDE, c // SIDE], a % SIDE, b % SIDE, c % SIDE
+                if row >= 0 and free[row, i, j, k] and not outside[row, i, j, k]:
+                    outside[row, i, j, k] = True
+                    stack.append((a, b, c))
 
 
 @njit(inline="always")
@@ -316,15 +238,6 @@ def _smooth(t):
     """From 1 at 0 down to 0 at 1, level at both ends."""
     t = min(max(t, 0.0), 1.0)
     return 1.0 - t * t * (3.0 - 2.0 * t)
-
-
-@njit(parallel=True, cache=True)
-def _faded(distances, sees, fade):
-    values = np.empty(distances.shape, np.uint16)
-    for row in prange(distances.shape[0]):
-        for at in range(distances.shape[1]):
-            values[row, at] = np.uint16(65535.0 * _smooth((distances[row, at] - sees) / (fade - sees)))
-    return values
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -357,21 +270,35 @@ class BoneLocks:
     ----------
     distances : tuple of BoneDistances
         Around each group.
-    alone : tuple of WeightLattice
-        Its weights where no other group is near.
+    fade_mm : float
+        Where weights have faded.
     gap_mm : float
-        Where two groups come closer than this, neither is locked; from 1.6 times as far both are, whole.
+        Where two groups come closer than this, neither is locked; from ``WHOLE_FROM`` times as far both are, whole.
     """
 
     distances: tuple[BoneDistances, ...]
-    alone: tuple[WeightLattice, ...]
+    fade_mm: float
     gap_mm: float
 
     @classmethod
     def around(cls, surfaces: Sequence[TriMesh], *, spacing_mm: float, fade_mm: float, gap_mm: float) -> BoneLocks:
-        """Of the groups that closed surfaces at rest bound."""
-        found = tuple(BoneDistances.around(s, spacing_mm=spacing_mm, fade_mm=fade_mm) for s in surfaces)
-        return cls(found, tuple(distances.weights() for distances in found), gap_mm)
+        """Of the groups that closed surfaces at rest bound.
+
+        Raises
+        ------
+        FieldError
+            A spacing too wide for weights to fade in the length, or for two groups to be locked beyond the gap.
+        """
+        held = held_mm(spacing_mm)
+        if not (fade_mm > held and gap_mm >= 2.0 * held):
+            raise FieldError(
+                f"locks on a lattice of {spacing_mm:.3g} mm hold the field to {held:.3g} mm from bone; found a fade of "
+                f"{fade_mm:.3g} mm, expected more, and a gap of {gap_mm:.3g} mm, expected at least twice that; take a "
+                "narrower lattice"
+            )
+        known = max(fade_mm, WHOLE_FROM * gap_mm)
+        found = tuple(BoneDistances.around(s, spacing_mm=spacing_mm, known_mm=known) for s in surfaces)
+        return cls(found, fade_mm, gap_mm)
 
     def of_step(self, before: Sequence[Stand], after: Sequence[Stand]) -> tuple[Lock, ...]:
         """The locks of a Cayley step from one stand of every group to another.
@@ -382,69 +309,51 @@ class BoneLocks:
             A group turns by about 180 degrees.
         """
         middles = [a.half_way(b) for a, b in zip(before, after, strict=True)]
-        weights = step_weights(self.distances, middles, self.alone, gap_mm=self.gap_mm)
         return tuple(
-            Lock.of_step(weight, (a.linear, a.translation), (b.linear, b.translation))
-            for weight, a, b in zip(weights, before, after, strict=True)
+            Lock.of_step(self._weights(k, middles), (a.linear, a.translation), (b.linear, b.translation))
+            for k, (a, b) in enumerate(zip(before, after, strict=True))
         )
 
-
-def step_weights(
-    bones: Sequence[BoneDistances], stands: Sequence[Stand], alone: Sequence[WeightLattice], *, gap_mm: float
-) -> tuple[WeightLattice, ...]:
-    """The weights of every group where all stand as they do.
-
-    Parameters
-    ----------
-    bones : sequence of BoneDistances
-    stands : sequence of Stand
-        In the middle of a step.
-    alone : sequence of WeightLattice
-        Of each group where no other is near.
-    gap_mm : float
-        Bones closer than this to another are not locked there; from 1.6 times as far they are locked whole.
-    """
-    found = []
-    for k, (own, weight) in enumerate(zip(bones, alone, strict=True)):
-        others = [j for j in range(len(bones)) if j != k]
-        touched = _near_others(own, stands[k], [bones[j] for j in others], [stands[j] for j in others])
-        if not touched.size:
-            found.append(weight)
-            continue
-        values = _shared_values(k, own, touched, bones, stands, gap_mm)
-        bricks = own.bricks.copy()
-        places = np.argwhere(own.bricks >= 0)
-        at = np.empty(len(own.distances), dtype=np.int64)
-        at[own.bricks[tuple(places.T)]] = np.arange(len(places))
-        bricks[tuple(places[at[touched]].T)] = len(weight.values) + np.arange(len(touched))
-        found.append(WeightLattice(own.low, own.spacing_mm, bricks, np.concatenate([weight.values, values])))
-    return tuple(found)
+    def _weights(self, k: int, stands: Sequence[Stand]) -> WeightLattice:
+        """The weights of one group where all stand as they do."""
+        own = self.distances[k]
+        squares = np.zeros(own.distances.shape)
+        nearest = np.full(own.distances.shape, np.float64(FAR))
+        for j, other in enumerate(self.distances):
+            if j == k:
+                continue
+            back = np.linalg.inv(stands[j].linear)
+            linear = back @ stands[k].linear
+            shift = back @ (stands[k].translation - stands[j].translation)
+            near = _known_by(other, own.corners @ linear.T + shift, SIDE * own.spacing_mm)
+            _add_other(
+                near,
+                own.corners,
+                own.spacing_mm,
+                linear,
+                shift,
+                other.low,
+                other.spacing_mm,
+                other.bricks,
+                other.distances,
+                other.held_mm,
+                squares,
+                nearest,
+            )
+        values = np.empty(own.distances.shape, dtype=np.uint16)
+        _write_weights(own.distances, squares, nearest, own.held_mm, self.fade_mm, self.gap_mm, values)
+        return WeightLattice.of(own.low, own.spacing_mm, bricks=own.bricks, places=own.places, inner=values)
 
 
-def _brick_centres(bones: BoneDistances) -> Points:
-    places = np.argwhere(bones.bricks >= 0)
-    centres = np.empty((len(bones.distances), 3))
-    side = SIDE * bones.spacing_mm
-    centres[bones.bricks[tuple(places.T)]] = bones.low + (places + 0.5) * side - 0.5 * bones.spacing_mm
-    return centres
-
-
-def _near_others(
-    own: BoneDistances, stand: Stand, others: Sequence[BoneDistances], stands: Sequence[Stand]
-) -> NDArray[np.int64]:
-    """Rows of the bricks in which another group's distances are known."""
-    centres = stand(_brick_centres(own))
-    near = np.zeros(len(centres), dtype=bool)
-    for other, there in zip(others, stands, strict=True):
-        back = np.linalg.inv(there.linear)
-        places = (centres - there.translation) @ back.T
-        side = SIDE * other.spacing_mm
-        index = np.floor((places - other.low) / side + 0.5 / SIDE).astype(np.int64)
-        span = int(np.ceil(0.87 * SIDE * own.spacing_mm / side)) + 1
-        known = _dilated(other.bricks != NOTHING, span)
-        kept = ((index >= -span) & (index < np.array(other.bricks.shape) + span)).all(axis=1)
-        near[kept] |= known[tuple((index[kept] + span).T)]
-    return np.flatnonzero(near)
+def _known_by(other: BoneDistances, corners: Points, side: float) -> Int:
+    """Rows of the cubes, of one corner (R, 3) in the other's frame and a side, that may see a distance it knows."""
+    own_side = SIDE * other.spacing_mm
+    span = int(np.ceil(np.sqrt(3.0) * side / own_side)) + 1
+    index = np.floor((corners - other.low) / own_side).astype(np.int64)
+    known = _dilated(other.bricks != NOTHING, span)
+    kept = np.flatnonzero(((index >= -span) & (index < np.array(other.bricks.shape) + span)).all(axis=1))
+    found: Int = kept[known[tuple((index[kept] + span).T)]]
+    return found
 
 
 def _dilated(seen: Bool, span: int) -> Bool:
@@ -458,77 +367,40 @@ def _dilated(seen: Bool, span: int) -> Bool:
     return grown
 
 
-def _shared_values(
-    k: int,
-    own: BoneDistances,
-    rows: NDArray[np.int64],
-    bones: Sequence[BoneDistances],
-    stands: Sequence[Stand],
-    gap_mm: float,
-) -> NDArray[np.uint16]:
-    places = np.argwhere(own.bricks >= 0)
-    corners = np.empty((len(own.distances), 3))
-    corners[own.bricks[tuple(places.T)]] = own.low + places * SIDE * own.spacing_mm
-    squares, nearest = np.zeros((len(rows), ACROSS**3)), np.full((len(rows), ACROSS**3), np.float64(FAR))
-    for j, other in enumerate(bones):
-        if j == k:
-            continue
-        back = np.linalg.inv(stands[j].linear)
-        linear = back @ stands[k].linear
-        shift = back @ (stands[k].translation - stands[j].translation)
-        _add_other(
-            corners[rows],
-            own.spacing_mm,
-            linear,
-            shift,
-            other.low,
-            other.spacing_mm,
-            other.bricks,
-            other.distances,
-            other.sees_mm,
-            squares,
-            nearest,
-        )
-    values = np.empty((len(rows), ACROSS**3), dtype=np.uint16)
-    _write_shared(own.distances[rows], squares, nearest, own.sees_mm, own.fade_mm, gap_mm, values)
-    return values
-
-
 @njit(inline="always")
 def _distance_at(low, h, bricks, distances, x, y, z):
     """Distance at a place of the lattice's frame, between its nodes; far where it is not known."""
     u, v, w = (x - low[0]) / h, (y - low[1]) / h, (z - low[2]) / h
     i, j, k = int(np.floor(u)), int(np.floor(v)), int(np.floor(w))
-    a, b, c = i // SIDE, j // SIDE, k // SIDE
-    if not (0 <= a < bricks.shape[0] and 0 <= b < bricks.shape[1] and 0 <= c < bricks.shape[2]):
-        return 1e6
-    row = bricks[a, b, c]
-    if row == -1:
-        return 1e6
-    if row == -2:
-        return 0.0
     u, v, w = u - i, v - j, w - k
-    start = ((i - a * SIDE + 1) * ACROSS + j - b * SIDE + 1) * ACROSS + k - c * SIDE + 1
     total = 0.0
     for p in range(2):
         for q in range(2):
             for r in range(2):
-                part = distances[row, start + (p * ACROSS + q) * ACROSS + r]
-                if part > 1e5:
+                a, b, c = i + p, j + q, k + r
+                if not (
+                    0 <= a < bricks.shape[0] * SIDE
+                    and 0 <= b < bricks.shape[1] * SIDE
+                    and 0 <= c < bricks.shape[2] * SIDE
+                ):
                     return 1e6
-                total += (u if p else 1.0 - u) * (v if q else 1.0 - v) * (w if r else 1.0 - w) * part
+                row = bricks[a // SIDE, b // SIDE, c // SIDE]
+                if row == -1:
+                    return 1e6
+                if row >= 0:
+                    share = (u if p else 1.0 - u) * (v if q else 1.0 - v) * (w if r else 1.0 - w)
+                    total += share * distances[row, a % SIDE, b % SIDE, c % SIDE]
     return total
 
 
 @njit(parallel=True, cache=True)
-def _add_other(corners, h, linear, shift, low, spacing, bricks, distances, sees, squares, nearest):
-    for row in prange(len(corners)):
-        for i in range(ACROSS):
-            for j in range(ACROSS):
-                for k in range(ACROSS):
-                    x = corners[row, 0] + (i - 1) * h
-                    y = corners[row, 1] + (j - 1) * h
-                    z = corners[row, 2] + (k - 1) * h
+def _add_other(rows, corners, h, linear, shift, low, spacing, bricks, distances, held, squares, nearest):
+    for number in prange(len(rows)):
+        row = rows[number]
+        for i in range(SIDE):
+            for j in range(SIDE):
+                for k in range(SIDE):
+                    x, y, z = corners[row, 0] + i * h, corners[row, 1] + j * h, corners[row, 2] + k * h
                     d = _distance_at(
                         low,
                         spacing,
@@ -538,21 +410,23 @@ def _add_other(corners, h, linear, shift, low, spacing, bricks, distances, sees,
                         linear[1, 0] * x + linear[1, 1] * y + linear[1, 2] * z + shift[1],
                         linear[2, 0] * x + linear[2, 1] * y + linear[2, 2] * z + shift[2],
                     )
-                    at = (i * ACROSS + j) * ACROSS + k
                     if d < 1e5:
-                        free = max(d - sees, 1e-3)
-                        squares[row, at] += 1.0 / (free * free)
-                        nearest[row, at] = min(nearest[row, at], d)
+                        free = max(d - held, 1e-3)
+                        squares[row, i, j, k] += 1.0 / (free * free)
+                        nearest[row, i, j, k] = min(nearest[row, i, j, k], d)
 
 
 @njit(parallel=True, cache=True)
-def _write_shared(distances, squares, nearest, sees, fade, gap, values):
+def _write_weights(distances, squares, nearest, held, fade, gap, values):
+    """Faded with distance, shared with other groups by distance, and none in a gap too narrow for both."""
     for row in prange(distances.shape[0]):
-        for at in range(distances.shape[1]):
-            d = distances[row, at]
-            w = _smooth((d - sees) / (fade - sees))
-            if nearest[row, at] < 1e5 and w > 0.0:
-                free = max(d - sees, 0.0)
-                w *= 1.0 / (1.0 + free * free * squares[row, at])
-                w *= 1.0 - _smooth((d + nearest[row, at] - gap) / (0.6 * gap))
-            values[row, at] = np.uint16(65535.0 * w)
+        for i in range(SIDE):
+            for j in range(SIDE):
+                for k in range(SIDE):
+                    d = distances[row, i, j, k]
+                    w = _smooth((d - held) / (fade - held))
+                    if nearest[row, i, j, k] < 1e5 and w > 0.0:
+                        free = max(d - held, 0.0)
+                        w *= 1.0 / (1.0 + free * free * squares[row, i, j, k])
+                        w *= 1.0 - _smooth((d + nearest[row, i, j, k] - gap) / ((WHOLE_FROM - 1.0) * gap))
+                    values[row, i, j, k] = np.uint16(65535.0 * w)

@@ -16,8 +16,8 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.progress import Progress, Silent, Tick
 
-MAX_ROUNDS = 12
-"""Each round halves edges; the bound only ends what does not settle."""
+MAX_ROUNDS = 8
+"""Each round halves edges: from 30 mm to a tenth of a millimetre."""
 
 MAX_CROSSING_ROUNDS = 16
 """Rounds in which triangles that come to cross each other are halved."""

@@ -52,7 +52,7 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
-LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.4, 2.0, 4.0
+LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.4, 2.5, 4.0
 """Of what locks the field to bones: spacing of the weights' lattice, where weights have faded, and how close bones that
 move otherwise may come before neither is locked there."""
 
@@ -277,15 +277,11 @@ def _bone_stepper(job: Job) -> BoneStepper:
 def _locks(anatomy: Anatomy, groups: Sequence[RigidGroup]) -> BoneLocks:
     """What locks the field to groups of bones."""
     return BoneLocks.around(
-        [_bone_surface(anatomy, group.bones) for group in groups],
+        [TriMesh.together([anatomy[bone].surface for bone in group.bones]) for group in groups],
         spacing_mm=LOCK_SPACING_MM,
         fade_mm=LOCK_FADE_MM,
         gap_mm=LOCK_GAP_MM,
     )
-
-
-def _bone_surface(anatomy: Anatomy, bones: Sequence[str]) -> TriMesh:
-    return TriMesh.together([anatomy[bone].surface for bone in bones])
 
 
 def _spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles | None:

@@ -8,12 +8,13 @@ import trimesh
 
 from musclefit.certify.maps import certify_map
 from musclefit.errors import FieldError
-from musclefit.fields.locked import Lock, LockedField, WeightLattice
+from musclefit.fields.locked import LockedField
 from musclefit.fields.rbf import RadialBackend
-from musclefit.flow.locks import BoneDistances, BoneLocks, Stand, surface_grid
+from musclefit.flow.locks import BoneLocks, Stand, held_mm
 from musclefit.flow.steps import CayleyStep
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.surface_samples import surface_samples
 from musclefit.rig.model import StepKind
 from musclefit.validate.model import MapClaim
 
@@ -31,7 +32,7 @@ AFTER = [Stand.of(RigidMotion.identity()), Stand.of(TURN)]
 
 @pytest.fixture(scope="module")
 def locked() -> LockedField:
-    locks = BoneLocks.around([UPPER, LOWER], spacing_mm=0.5, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, AFTER)
+    locks = BoneLocks.around([UPPER, LOWER], spacing_mm=0.4, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, AFTER)
     at = np.concatenate([UPPER.vertices[::9], LOWER.vertices[::9]])
     to = np.concatenate([UPPER.vertices[::9], TURN(LOWER.vertices[::9])])
     return LockedField(RadialBackend("isochoric-r3").fit(0.5 * (at + to), to - at), locks)
@@ -43,7 +44,7 @@ def around(count: int = 20_000, seed: int = 3) -> np.ndarray:
 
 @pytest.mark.parametrize(("surface", "motion"), [(UPPER, RigidMotion.identity()), (LOWER, TURN)])
 def test_a_step_moves_the_whole_surface_as_its_bone(locked, surface, motion):
-    places = surface_grid(surface, spacing_mm=0.15)
+    places = surface_samples(surface, spacing_mm=0.15).points
     assert len(places) > 20_000
     off = CayleyStep(locked)(places) - motion(places)
     assert np.abs(off).max() < 1e-9
@@ -111,7 +112,7 @@ def test_a_locked_step_is_certified_and_one_too_steep_is_not(locked):
 
 def test_bones_too_close_to_each_other_are_not_locked_there_and_weights_never_exceed_one():
     near = ball((0.0, 0.0, -14.0), (6.0, 5.0, 23.5))
-    locks = BoneLocks.around([UPPER, near], spacing_mm=0.5, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, BEFORE)
+    locks = BoneLocks.around([UPPER, near], spacing_mm=0.4, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, BEFORE)
     points = around(60_000)
     total = sum(lock.weights(points)[0] for lock in locks)
     assert total.max() <= 1.0 + 1e-4
@@ -123,8 +124,48 @@ def test_bones_too_close_to_each_other_are_not_locked_there_and_weights_never_ex
 
 def test_a_half_turn_in_one_step_is_refused():
     half = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 1.0, 0.0]), angle_deg=180.0)
-    lattice = BoneDistances.around(UPPER, spacing_mm=1.0, fade_mm=3.0).weights()
-    assert isinstance(lattice, WeightLattice)
-    still = (np.eye(3), np.zeros(3))
+    locks = BoneLocks.around([UPPER], spacing_mm=0.5, fade_mm=3.0, gap_mm=4.0)
     with pytest.raises(FieldError, match="180 degrees"):
-        Lock.of_step(lattice, still, (half.rotation, half.translation))
+        locks.of_step(BEFORE[:1], [Stand.of(half)])
+
+
+BIG = ball((0.0, 0.0, 25.0), (16.0, 16.0, 24.0))
+TOUCHING = {"a gap of 0.5 mm": -14.0, "an overlap of 0.4 mm": -13.1, "a wide gap": -19.0}
+
+
+@pytest.mark.parametrize("z", TOUCHING.values(), ids=TOUCHING)
+@pytest.mark.parametrize(("spacing", "fade", "gap"), [(0.4, 2.0, 4.0), (0.4, 6.0, 3.0), (0.8, 3.0, 6.0)])
+def test_weights_are_continuous_from_cell_to_cell_however_near_bones_are(z, spacing, fade, gap):
+    """A proof speaks of a continuous field: weights must not jump between what bones share and what is deep in one."""
+    low = ball((0.0, 0.0, z), (16.0, 16.0, 14.5))
+    locks = BoneLocks.around([BIG, low], spacing_mm=spacing, fade_mm=fade, gap_mm=gap).of_step(BEFORE, BEFORE)
+    for number, lock in enumerate(locks):
+        lattice = lock.weight
+        for axis in range(3):
+            places = np.random.default_rng(axis).uniform([-20.0, -20.0, -35.0], [20.0, 20.0, 52.0], (60_000, 3))
+            cells = np.round((places[:, axis] - lattice.low[axis]) / spacing) - 0.5
+            places[:, axis] = lattice.low[axis] + cells * spacing
+            beside = 1e-9 * np.eye(3)[axis]
+            (before, rising), (after, going_on) = lattice.at(places - beside), lattice.at(places + beside)
+            assert 0.0 < before.max() <= 1.0
+            np.testing.assert_allclose(after, before, rtol=0, atol=1e-7)
+            np.testing.assert_allclose(going_on, rising, rtol=0, atol=1e-6)
+        assert lattice.at((BIG, low)[number].vertices)[0].max() == 1.0
+
+
+def test_weights_change_no_faster_than_what_they_fade_over():
+    """Where another bone comes within reach, its distance is known from as far as it matters."""
+    low = ball((0.0, 0.0, -14.0), (16.0, 16.0, 14.5))
+    spacing, fade, gap = 0.4, 3.0, 4.0
+    locks = BoneLocks.around([BIG, low], spacing_mm=spacing, fade_mm=fade, gap_mm=gap).of_step(BEFORE, BEFORE)
+    places = np.random.default_rng(4).uniform([-20.0, -20.0, -35.0], [20.0, 20.0, 52.0], (200_000, 3))
+    steepest = max(np.linalg.norm(lock.weights(places)[1], axis=1).max() for lock in locks)
+    # A fall from 1 to 0 over a length is at most 1.5 over it steep: by distance, between the bones, and in the gap.
+    held = held_mm(spacing)
+    assert steepest < 1.5 / (fade - held) + 1.5 / (gap - 2.0 * held) + 1.5 / (0.6 * gap)
+
+
+@pytest.mark.parametrize(("spacing", "fade", "gap"), [(0.8, 2.0, 6.0), (0.5, 3.0, 3.0)])
+def test_a_lattice_too_wide_for_the_lock_is_refused(spacing, fade, gap):
+    with pytest.raises(FieldError, match=r"take a narrower lattice"):
+        BoneLocks.around([UPPER], spacing_mm=spacing, fade_mm=fade, gap_mm=gap)

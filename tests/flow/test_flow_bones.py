@@ -12,7 +12,7 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, contact_residuals, exposed_residuals, rigid_groups
 from musclefit.flow.deformation import Status
-from musclefit.flow.locks import BoneLocks, surface_grid
+from musclefit.flow.locks import BoneLocks
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
@@ -21,6 +21,7 @@ from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.solids import overlap_volume, solid_of
+from musclefit.geometry.surface_samples import surface_samples
 from musclefit.geometry.volumes import enclosed_volume
 from musclefit.progress import Silent
 from musclefit.rig.handles import BonePath, Handles
@@ -72,8 +73,8 @@ def on_the_rods() -> Handles:
 
 LOCKS = BoneLocks.around(
     [TriMesh.together([ANATOMY[bone].surface for bone in group.bones]) for group in GROUPS],
-    spacing_mm=0.4,
-    fade_mm=2.0,
+    spacing_mm=0.3,
+    fade_mm=2.5,
     gap_mm=4.0,
 )
 
@@ -116,7 +117,7 @@ def test_the_field_follows_the_bones(bent):
     residuals = exposed_residuals(GROUPS, deformation, MOTIONS.at(1.0))
     assert np.quantile(residuals, 0.99) < 0.04
     assert residuals.max() < 0.3
-    away = surface_grid(ANATOMY["bone_lower"].surface, spacing_mm=0.3)
+    away = surface_samples(ANATOMY["bone_lower"].surface, spacing_mm=0.3).points
     away = away[away[:, 2] < -8.0]
     off = np.abs(deformation(away) - MOTIONS.at(1.0)["bone_lower"](away)).max()
     assert (off < 1e-9) == (stepper.locks is not None)

@@ -65,6 +65,16 @@ def _number_edges(faces, vertices, ends, of_face):
     return count
 
 
+def longest_edges(vertices: Points, edges: FaceEdges, faces: Int) -> Bool:
+    """(e,) which edges are the longest of the faces with some numbers."""
+    a, b = edges.ends.T
+    lengths = np.linalg.norm(vertices[b] - vertices[a], axis=1)
+    of_faces = edges.of_face[faces]
+    longest: Bool = np.zeros(len(edges.ends), dtype=bool)
+    longest[np.take_along_axis(of_faces, lengths[of_faces].argmax(axis=1)[:, None], axis=1)] = True
+    return longest
+
+
 def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:
     """Split the marked edges at their middles, and every face that has one into two, three or four.
 

@@ -10,9 +10,10 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import MusclefitError
 from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.surfaces import MAX_ROUNDS, bent_edges, split_bent
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.solids import ROUNDING_MM3
-from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
+from musclefit.geometry.subdivision import FaceEdges, with_short_edges
 from musclefit.pipeline.poses import collision_in_words, collision_on_the_way
 from musclefit.pipeline.refining import deform_finely
 from musclefit.pipeline.retarget import motions_of_held_bones
@@ -32,9 +33,6 @@ told as not settled, unless its second frame shows it."""
 
 SAME_MM = 1e-6
 """A frame that is made again must be where it was up to this."""
-
-MAX_ROUNDS = 8
-"""Each round halves edges that a map bends."""
 
 MAX_TRIANGLES = 600_000
 """Two tissues are cut into no more triangles than this."""
@@ -155,6 +153,8 @@ class PosesOnTheWay:
         tissues = []
         for name in names:
             surface = with_short_edges(given[name].surface, longest_mm=longest)
+            bending = [map_.deformation for map_ in maps if name not in map_.held]
+            known = [deformation.jacobian(surface.vertices) for deformation in bending]
             for _ in range(MAX_ROUNDS):
                 if len(surface.faces) > MAX_TRIANGLES // 2:
                     raise PoseError(
@@ -162,19 +162,18 @@ class PosesOnTheWay:
                         f"{longest:.3g} mm and a chord tolerance of {chord:.3g} mm"
                     )
                 edges = FaceEdges.of(surface.faces)
-                a, b = edges.ends.T
-                along = surface.vertices[b] - surface.vertices[a]
-                bent = np.zeros(len(a), dtype=bool)
-                for map_ in (map_ for map_ in maps if name not in map_.held):
-                    jacobians = map_.deformation.jacobian(surface.vertices)
-                    turned = np.einsum("eij,ej->ei", jacobians[b] - jacobians[a], along)
-                    bent |= np.linalg.norm(turned, axis=1) / 8.0 > chord
+                bent = np.zeros(len(edges.ends), dtype=bool)
+                for jacobians in known:
+                    bent |= bent_edges(edges, surface.vertices, jacobians, tolerance_mm=chord)
                 if not bent.any():
                     break
-                surface = split_edges(surface, edges, bent)
+                before, surface = len(surface.vertices), split_bent(surface, edges, bent)
+                fresh = [deformation.jacobian(surface.vertices[before:]) for deformation in bending]
+                known = [np.concatenate([old, new]) for old, new in zip(known, fresh, strict=True)]
             else:
                 raise PoseError(
-                    f"{name} is still bent by more than {chord:.3g} mm between vertices after {MAX_ROUNDS} halvings"
+                    f"{name} is still bent by more than {chord:.3g} mm between vertices after {MAX_ROUNDS} rounds of "
+                    "splitting"
                 )
             tissues.append(replace(given[name], surface=surface))
         rest = Anatomy(tuple(tissues), given.frame)

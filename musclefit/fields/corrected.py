@@ -80,7 +80,7 @@ class CorrectedField:
             found = _ranges_of(gradients, radii + ceilings[strong])
             more = ~((found[:, 0] >= enough[0]) & (found[:, 1] <= enough[1]))
             hard = strong[more]
-            found[more] = _narrower(
+            found[more] = enclosures.narrower(
                 found[more], self._strain(gradients[more], radii[more], centres[hard], half_widths[hard])
             )
             ranges[strong] = found
@@ -101,7 +101,7 @@ class CorrectedField:
             middles[weak] = np.where(ceilings[weak, None] > 0.0, np.nan, of_radial)
         if not weak.all():
             gradients, off = self.radial.gradient_ball_bounds(centres[~weak], radii[~weak])
-            ranges[~weak] = _narrower(
+            ranges[~weak] = enclosures.narrower(
                 _ranges_of(gradients, off + ceilings[~weak]),
                 self._strain(gradients, off, centres[~weak], half_widths[~weak]),
             )
@@ -153,9 +153,3 @@ def _ranges_of(gradients: Gradients, radii: Float) -> Float:
     values: Float = np.asarray(np.linalg.eigvalsh(0.5 * (kept + kept.transpose(0, 2, 1)))[:, [0, -1]], np.float64)
     ranges[known] = _widened(values, radii[known] + ROUNDING * np.abs(kept).sum(axis=(1, 2)) + 1e-280)
     return ranges
-
-
-def _narrower(a: Float, b: Float) -> Float:
-    """What two proved ranges prove together."""
-    both: Float = np.stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])], axis=1)
-    return both

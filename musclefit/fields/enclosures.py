@@ -139,3 +139,9 @@ def _prepared(field: RadialField, centres: Points, half_widths: Float) -> _Boxes
 
 def _in_space(points: Points) -> Points:
     return points if points.shape[1] == 3 else np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
+def narrower(a: Float, b: Float) -> Float:
+    """What two proved ranges (B, 2) of the same eigenvalues prove together."""
+    both: Float = np.stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])], axis=1)
+    return both

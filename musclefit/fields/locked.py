@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
-from musclefit.fields import weights
+from musclefit.fields import enclosures, weights
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
@@ -277,7 +277,9 @@ class LockedField:
             found = np.where(np.isnan(first), np.array([-np.inf, np.inf]), first)
             short = ~((found[:, 0] >= enough[0]) & (found[:, 1] <= enough[1]))
             if short.any():
-                found[short] = _both(found[short], self._blended(part.only(np.flatnonzero(short)), enough))
+                found[short] = enclosures.narrower(
+                    found[short], self._blended(part.only(np.flatnonzero(short)), enough)
+                )
             ranges[mixed], middles[mixed] = found, values
         return ranges, middles
 
@@ -423,9 +425,3 @@ def _symmetric_range(matrix: Float) -> Float:
     slack = ROUNDING * np.abs(matrix).sum() + 1e-280
     found: Float = values + np.array([-slack, slack])
     return found
-
-
-def _both(a: Float, b: Float) -> Float:
-    """What two proved ranges prove together."""
-    both: Float = np.stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])], axis=1)
-    return both

@@ -196,10 +196,8 @@ class BoneStepper:
             return (lambda _tested, _anchors: self._locked_step(locks, start, end),)
 
         def make(tested: Points, anchors: Points) -> Step:
-            surfaces = self._surfaces(end)
-            exposed = [s.vertices[~g.contact] for g, s in zip(self.groups, surfaces, strict=True)]
             here, there = self.handles.path.position(start), self.handles.path.position(end)
-            targets = np.concatenate([there[: self.exact], *exposed])
+            targets = np.concatenate([there[: self.exact], *self._exposed(end)])
             held = tested[-len(targets) :]
             here[: self.exact] = held[: self.exact]
             radial = self._radial(here, there)
@@ -309,18 +307,6 @@ def _exact_at(points: Points, moves: Points, field: CorrectedField) -> Corrected
         )
         field = CorrectedField(field.radial, field.local.plus(more))
     return field
-
-
-def exposed_residuals(
-    groups: Sequence[RigidGroup], deformation: Deformation, motions: Mapping[str, RigidMotion]
-) -> Float:
-    """Distances of the bones' own mapped exposed vertices from their rigid motion over the whole path, mm."""
-    own = [np.flatnonzero(~group.contact[: group.given]) for group in groups]
-    rest = np.concatenate([group.surface.vertices[kept] for group, kept in zip(groups, own, strict=True)])
-    targets = np.concatenate([group.at(motions).vertices[kept] for group, kept in zip(groups, own, strict=True)])
-    moved = deformation(rest)
-    residuals: Float = np.linalg.norm(moved - targets, axis=1)
-    return residuals
 
 
 def contact_residuals(groups: Sequence[RigidGroup], deformation: Deformation, motions: BoneMotions) -> Float:

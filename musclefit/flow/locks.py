@@ -23,6 +23,7 @@ from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surface_samples import surface_samples
+from musclefit.progress import Progress, Silent
 
 SAMPLED = 0.6
 """How far a place of a surface may be from a sample of it, in units of the lattice's spacing."""
@@ -281,7 +282,15 @@ class BoneLocks:
     gap_mm: float
 
     @classmethod
-    def around(cls, surfaces: Sequence[TriMesh], *, spacing_mm: float, fade_mm: float, gap_mm: float) -> BoneLocks:
+    def around(
+        cls,
+        surfaces: Sequence[TriMesh],
+        *,
+        spacing_mm: float,
+        fade_mm: float,
+        gap_mm: float,
+        progress: Progress | None = None,
+    ) -> BoneLocks:
         """Of the groups that closed surfaces at rest bound.
 
         Raises
@@ -297,8 +306,12 @@ class BoneLocks:
                 "narrower lattice"
             )
         known = max(fade_mm, WHOLE_FROM * gap_mm)
-        found = tuple(BoneDistances.around(s, spacing_mm=spacing_mm, known_mm=known) for s in surfaces)
-        return cls(found, fade_mm, gap_mm)
+        found = []
+        with (progress or Silent()).stage("distances around bones") as tick:
+            for surface in surfaces:
+                found.append(BoneDistances.around(surface, spacing_mm=spacing_mm, known_mm=known))
+                tick(len(found) / len(surfaces))
+        return cls(tuple(found), fade_mm, gap_mm)
 
     def of_step(self, before: Sequence[Stand], after: Sequence[Stand]) -> tuple[Lock, ...]:
         """The locks of a Cayley step from one stand of every group to another.

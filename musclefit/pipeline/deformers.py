@@ -117,7 +117,7 @@ def march_of(job: Job, points: Points, *, progress: Progress) -> tuple[Marching 
     rule = rule_for(settings.step, settings.step_rule)
     pace = Pace(settings.max_steps, least_steps(job), settings.share, job.stops)
     if job.rig.bones.rigid:
-        stepper = _bone_stepper(job)
+        stepper = _bone_stepper(job, progress)
         held = stepper.held_points()
         march = Marching.begun(stepper, rule=rule, tested=np.vstack([points, held]), pace=pace, held=len(held))
         return march.marched(progress), tuple(stepper.groups)
@@ -249,7 +249,7 @@ def _baseline_settings(job: Job) -> DeformerSettings:
     return replace(settings, kernel=Kernel.R2_LOG_R, smoothing=0.0) if isochoric else settings
 
 
-def _bone_stepper(job: Job) -> BoneStepper:
+def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
     """The stepper that follows the bones."""
     assert job.motions is not None  # a rig with rigid bones says how they move
     bones = job.rig.bones
@@ -270,17 +270,18 @@ def _bone_stepper(job: Job) -> BoneStepper:
         exact=len(job.handles),
         lattices_mm=bones.lattices_mm,
         iterations=bones.iterations,
-        locks=_locks(job.anatomy, groups) if bones.lock else None,
+        locks=_locks(job.anatomy, groups, progress) if bones.lock else None,
     )
 
 
-def _locks(anatomy: Anatomy, groups: Sequence[RigidGroup]) -> BoneLocks:
+def _locks(anatomy: Anatomy, groups: Sequence[RigidGroup], progress: Progress) -> BoneLocks:
     """What locks the field to groups of bones."""
     return BoneLocks.around(
         [TriMesh.together([anatomy[bone].surface for bone in group.bones]) for group in groups],
         spacing_mm=LOCK_SPACING_MM,
         fade_mm=LOCK_FADE_MM,
         gap_mm=LOCK_GAP_MM,
+        progress=progress,
     )
 
 

@@ -12,6 +12,7 @@ from tiny_rigs import BEND_DEG, LANDMARKS, drive_by, drive_by_joints, landmark_r
 
 import musclefit
 from musclefit.errors import InputError
+from musclefit.geometry.surface_samples import surface_samples
 from musclefit.io.sequences import planned, read_frames, run_sequence
 from musclefit.io.transforms import transforms_text
 from musclefit.pipeline.deformers import least_steps
@@ -140,6 +141,22 @@ def test_a_transform_into_another_bone_is_refused_by_its_place_on_the_way(collid
     said = r"run into each other at [\d.]+ % of the way: .* mm deep, sharing .*feasible pose .*correct where"
     with pytest.raises(InputError, match=said):
         musclefit.retarget(job, tets=None)
+
+
+def test_a_run_with_locked_bones_is_proved_and_moves_their_whole_surface(tmp_path: Path) -> None:
+    rig = write_tiny_rig(tmp_path / "rig")
+    drive_by_joints(rig)
+    by_joints = (*RIGID, "deformer.path=joints", "certificate.enabled=true", "certificate.max_boxes=200000")
+    job = musclefit.read_rig(rig, overrides=(*by_joints, "bones.lock=true"))
+    result = musclefit.retarget(job, tets=None).result
+    assert result.side.map.claim == "certified"
+    assert job.motions is not None
+    for bone, motion in job.motions.at(1.0).items():
+        places = surface_samples(job.anatomy[bone].surface, spacing_mm=0.3).points
+        assert np.abs(result.deformation(places) - motion(places)).max() < 1e-9
+    free = musclefit.retarget(musclefit.read_rig(rig, overrides=by_joints), tets=None).result.deformation
+    places = surface_samples(job.anatomy["bone_distal"].surface, spacing_mm=0.3).points
+    assert np.abs(free(places) - job.motions.at(1.0)["bone_distal"](places)).max() > 1e-3
 
 
 def test_landmarks_into_another_bone_are_refused(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ moves the bone exactly. Near a bone B is close to A_k, so that the fading costs 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, Self, runtime_checkable
@@ -18,9 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
-from musclefit.fields import enclosures, weights
+from musclefit.fields import bricks, enclosures
+from musclefit.fields.jets import Jets
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
+
+ROUNDING_MM = 1e-9
+"""Of computed distances, beyond what their enclosures count."""
 
 ROUNDING = 1e-13
 """Of computed gradients and eigenvalues, in units of the sizes that they are made of."""
@@ -40,8 +45,11 @@ class BoundedBase(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class WeightLattice:
-    """Weights between 0 and 1 as a sum of quadratic B-splines on a lattice kept in bricks (`musclefit.fields.weights`).
+class Nearness:
+    """Distance from a bone, made smooth: a sum of quadratic B-splines on a lattice in bricks (`musclefit.fields.bricks`).
+
+    It runs from ``-depth_mm`` deep within the bone to ``reach_mm`` far from it, and is no more than ``surface_mm`` at
+    any place of the bone's surface.
 
     Parameters
     ----------
@@ -49,54 +57,36 @@ class WeightLattice:
         The lattice's first node.
     spacing_mm : float
     bricks : (b0, b1, b2) int32
-        Row of each brick's values, ``weights.NOTHING`` or ``weights.WHOLE``.
+        Row of each brick's values, ``bricks.NOTHING`` (out of reach) or ``bricks.WHOLE`` (deep within).
     values : (R, 1000) uint16
+        From 0 at ``reach_mm`` to ``bricks.ONE`` at ``-depth_mm``.
+    reach_mm, depth_mm, surface_mm : float
     """
 
     low: Float
     spacing_mm: float
     bricks: NDArray[np.int32]
     values: NDArray[np.uint16]
+    reach_mm: float
+    depth_mm: float
+    surface_mm: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "low", frozen(self.low))
 
-    @classmethod
-    def of(
-        cls, low: Float, spacing_mm: float, *, bricks: NDArray[np.int32], places: Int, inner: NDArray[np.uint16]
-    ) -> Self:
-        """From the values of every brick's own nodes; bricks that see no other value than 0 or 1 need no row.
-
-        Parameters
-        ----------
-        low : (3,) float64, mm
-        spacing_mm : float
-        bricks : (b0, b1, b2) int32
-            As the record's, with rows of ``inner``.
-        places : (R, 3) int64
-            The brick of each row.
-        inner : (R, 8, 8, 8) uint16
-        """
-        values = np.empty((len(inner), weights.ACROSS**3), dtype=np.uint16)
-        weights.with_borders(bricks, places, inner, values)
-        nothing, whole = (values == 0).all(axis=1), (values == weights.ONE).all(axis=1)
-        kept = ~(nothing | whole)
-        rows = np.where(nothing, weights.NOTHING, np.where(whole, weights.WHOLE, np.cumsum(kept) - 1))
-        fewer = bricks.copy()
-        fewer[tuple(places.T)] = rows
-        return cls(low, spacing_mm, fewer, values[kept])
-
     def at(self, points: Points) -> tuple[Float, Points]:
-        """Weights (N,) and gradients (N, 3), per mm, at (N, 3) points in the lattice's frame."""
+        """Distances (N,), mm, and their gradients (N, 3) at (N, 3) points of the bone at rest."""
         found, slopes = np.empty(len(points)), np.empty((len(points), 3))
         where = np.ascontiguousarray(points, dtype=np.float64)
-        weights.weights_at(self.low, self.spacing_mm, self.bricks, self.values, where, found, slopes)
-        return found, slopes
+        bricks.values_at(self.low, self.spacing_mm, self.bricks, self.values, where, found, slopes)
+        whole = self.reach_mm + self.depth_mm
+        return self.reach_mm - whole * found, -whole * slopes
 
-    def ranges(self, centres: Points, half_widths: Float, slopes: Points) -> Float:
-        """Proved ranges over boxes: see `weights.weight_ranges`."""
+    def ranges(self, centres: Points, half_widths: Float) -> Float:
+        """(B, 4) over boxes: lowest and highest distance, mm, largest slope, and how far it gets from the centre's."""
         found = np.empty((len(centres), 4))
-        weights.weight_ranges(
+        whole = self.reach_mm + self.depth_mm
+        bricks.value_ranges(
             self.low,
             self.spacing_mm,
             self.bricks,
@@ -104,26 +94,27 @@ class WeightLattice:
             self._of_bricks,
             np.ascontiguousarray(centres),
             np.ascontiguousarray(half_widths),
-            slopes,
+            self.at(centres)[1] / -whole,
             found,
         )
-        return found
+        lowest, highest = self.reach_mm - whole * found[:, 1], self.reach_mm - whole * found[:, 0]
+        return np.stack([lowest, highest, whole * found[:, 2], whole * found[:, 3]], axis=1)
 
     @cached_property
     def _of_bricks(self) -> NDArray[np.int64]:
         found = np.zeros((len(self.values), 5), dtype=np.int64)
-        weights.brick_ranges(self.values, found)
+        bricks.brick_ranges(self.values, found)
         return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Lock:
-    """One bone's affine displacement, and where it counts.
+    """One bone's affine displacement, and where the bone is.
 
     Parameters
     ----------
-    weight : WeightLattice
-        In the bone's frame at rest.
+    nearness : Nearness
+        Of the bone at rest.
     to_rest : (3, 3) float64
     shift : (3,) float64, mm
         A point x of the field stands for ``to_rest @ x + shift`` of the bone at rest.
@@ -132,7 +123,7 @@ class Lock:
         The displacement at x is ``linear @ x + translation``.
     """
 
-    weight: WeightLattice
+    nearness: Nearness
     to_rest: Float
     shift: Float
     linear: Float
@@ -143,12 +134,12 @@ class Lock:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
-    def of_step(cls, weight: WeightLattice, before: tuple[Float, Float], after: tuple[Float, Float]) -> Self:
+    def of_step(cls, nearness: Nearness, before: tuple[Float, Float], after: tuple[Float, Float]) -> Self:
         """Of a Cayley step that takes a bone from one affine map of its rest shape to another.
 
         Parameters
         ----------
-        weight : WeightLattice
+        nearness : Nearness
         before, after : ((3, 3), (3,)) float64
             Linear part and translation, mm, from rest.
 
@@ -162,30 +153,49 @@ class Lock:
             raise FieldError("a bone turns by about 180 degrees in one step; use smaller steps")
         to_rest: Float = np.asarray(np.linalg.inv(middle), dtype=np.float64)
         linear = (after[0] - before[0]) @ to_rest
-        return cls(weight, to_rest, -to_rest @ halfway, linear, after[1] - before[1] - linear @ halfway)
+        return cls(nearness, to_rest, -to_rest @ halfway, linear, after[1] - before[1] - linear @ halfway)
 
     def displacement(self, points: Points) -> Points:
         """(N, 3) affine displacements, mm."""
         moved: Points = points @ self.linear.T + self.translation
         return moved
 
-    def weights(self, points: Points) -> tuple[Float, Points]:
-        """Weights (N,) and gradients (N, 3) at points of the field."""
-        found, slopes = self.weight.at(points @ self.to_rest.T + self.shift)
+    def distances(self, points: Points) -> tuple[Float, Points]:
+        """Distances from the bone (N,), mm at rest, and their gradients (N, 3) at points of the field."""
+        found, slopes = self.nearness.at(points @ self.to_rest.T + self.shift)
         return found, slopes @ self.to_rest
 
-    def ranges(self, centres: Points, half_widths: Float) -> Float:
-        """(B, 4) over boxes: lowest and highest weight, largest gradient, and how far it gets from the centre's."""
+    def over(self, centres: Points, half_widths: Float) -> Jets:
+        """The distances over boxes."""
         middles = centres @ self.to_rest.T + self.shift
         size = np.abs(centres).max(axis=1, initial=0.0)[:, None] + np.abs(self.shift).max()
         halves = half_widths @ np.abs(self.to_rest).T * (1.0 + 1e-14) + 1e-14 * size
-        found = self.weight.ranges(middles, halves, self.weight.at(middles)[1])
-        found[:, 2:] *= float(np.linalg.norm(self.to_rest, 2)) * (1.0 + 1e-12)
-        return found
+        ranges = self.nearness.ranges(middles, halves)
+        stretch = float(np.linalg.norm(self.to_rest, 2)) * (1.0 + 1e-12)
+        jets = Jets(*self.distances(centres), ranges[:, 0], ranges[:, 1], stretch * ranges[:, 2], stretch * ranges[:, 3])
+        return jets.within(np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)).widened(ROUNDING_MM)
 
     def scaled(self, factor: float) -> Self:
         """With a displacement ``factor`` times as large."""
         return replace(self, linear=factor * self.linear, translation=factor * self.translation)
+
+
+@dataclass(frozen=True, slots=True)
+class Fade:
+    """Where bones count: at ``surface_mm`` whole, ``over_mm`` farther away not at all, and only where no other is near.
+
+    The weight of bone k is the product of how near it is and, for each other bone j, of how much nearer it is than j:
+    nothing where j is no more than ``free_mm`` farther away, whole where it is at least ``apart_mm`` farther. So no
+    place sees two bones, and between bones that touch none counts.
+
+    Parameters
+    ----------
+    over_mm, apart_mm, free_mm : float
+    """
+
+    over_mm: float
+    apart_mm: float
+    free_mm: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -197,11 +207,12 @@ class LockedField:
     base : Field
         In space.
     locks : tuple of Lock
-        Their weights sum to at most 1 everywhere (up to the rounding of their values).
+    fade : Fade
     """
 
     base: Field
     locks: tuple[Lock, ...]
+    fade: Fade
 
     def displacement(self, points: Points) -> Points:
         """(N, 3) displacements at (N, 3) points, mm."""
@@ -265,7 +276,7 @@ class LockedField:
         if bare.any():
             ranges[bare], middles[bare] = base.strain_bounds(centres[bare], half_widths[bare], enough=enough)
         for k, lock in enumerate(self.locks):
-            own = boxes.whole & (boxes.weights[k, :, 0] == 1.0)
+            own = boxes.own == k
             ranges[own] = _symmetric_range(lock.linear)
             middles[own] = ranges[own]
         if mixed.size:
@@ -306,20 +317,49 @@ class LockedField:
             rounding[touched] += off.max(axis=1, initial=0.0)
         return values, np.repeat((wide + rounding)[:, None], centres.shape[1], axis=1)
 
+    def weights(self, points: Points) -> tuple[Float, Points]:
+        """Of every lock (K, N), and their gradients (K, N, 3), per mm; at most one is not 0 at any point."""
+        count = len(self.locks)
+        weights, slopes = np.zeros((count, len(points))), np.zeros((count, len(points), 3))
+        found = [lock.distances(points) for lock in self.locks]
+        for k, (own, steep) in enumerate(found):
+            near = np.flatnonzero(own < self.locks[k].nearness.surface_mm + self.fade.over_mm)
+            value, slope = self._nearby(k, own[near], steep[near])
+            for j, (other, beside) in enumerate(found):
+                if j != k:
+                    value, slope = _product(
+                        (value, slope), _risen((other[near] - own[near] - self.fade.free_mm, beside[near] - steep[near]), self.fade.apart_mm - self.fade.free_mm)
+                    )
+            weights[k, near], slopes[k, near] = value, slope
+        return weights, slopes
+
+    def _nearby(self, k: int, own: Float, steep: Points) -> tuple[Float, Points]:
+        """How near a bone is, from 1 to 0."""
+        value, slope = _risen((own - self.locks[k].nearness.surface_mm, steep), self.fade.over_mm)
+        return 1.0 - value, -slope
+
     def _weights(self, points: Points) -> tuple[Float, list[tuple[Float, Points]]]:
         """What is left for the base field (N,), and the weights of each lock."""
-        parts = [lock.weights(points) for lock in self.locks]
-        free = np.ones(len(points))
-        for found, _ in parts:
-            free -= found
-        return free, parts
+        weights, slopes = self.weights(points)
+        return 1.0 - weights.sum(axis=0), list(zip(weights, slopes, strict=True))
 
     def _boxes(self, centres: Points, half_widths: Float) -> _Boxes:
-        found = [lock.ranges(centres, half_widths) for lock in self.locks]
-        ranges = np.stack(found) if found else np.zeros((0, len(centres), 4))
-        bare: Bool = (ranges[:, :, 1] == 0.0).all(axis=0)
-        whole: Bool = (ranges[:, :, 0] == 1.0).any(axis=0) & ((ranges[:, :, 1] == 0.0).sum(axis=0) >= len(found) - 1)
-        return _Boxes(centres, half_widths, ranges, bare, whole)
+        found = [lock.over(centres, half_widths) for lock in self.locks]
+        reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)
+        weights = []
+        for k, own in enumerate(found):
+            jets = own.risen(self.locks[k].nearness.surface_mm, self.fade.over_mm).complement()
+            for j, other in enumerate(found):
+                if j != k:
+                    jets = jets.times(other.minus(own, reach).risen(self.fade.free_mm, self.fade.apart_mm - self.fade.free_mm))
+            weights.append(jets)
+        bare = np.ones(len(centres), dtype=bool)
+        for jets in weights:
+            bare &= jets.high == 0.0
+        own = np.full(len(centres), -1)
+        for k, jets in enumerate(weights):
+            own[jets.low == 1.0] = k
+        return _Boxes(centres, half_widths, tuple(weights), bare, own)
 
     def _enclosed(self, boxes: _Boxes) -> tuple[Gradients, Float]:
         """Gradients at the centres of boxes, and how far they get from them.
@@ -330,8 +370,7 @@ class LockedField:
         centres, halves = boxes.centres, boxes.half_widths
         gradients, radii = np.zeros((len(centres), 3, 3)), np.zeros(len(centres))
         for k, lock in enumerate(self.locks):
-            own = boxes.whole & (boxes.weights[k, :, 0] == 1.0)
-            gradients[own] = lock.linear
+            gradients[boxes.own == k] = lock.linear
         rest = np.flatnonzero(~boxes.whole)
         if not rest.size:
             return gradients, radii
@@ -348,26 +387,21 @@ class LockedField:
             places = here[touched]
             bare, rounding = base.displacement_bounds(places, np.zeros_like(places))
             slopes, wide = steep[touched], spread[touched]
-            ranges = boxes.weights[:, rest[touched]]
+            weights = [jets.only(rest[touched]) for jets in boxes.weights]
             reach = np.linalg.norm(half[touched], axis=1) * (1.0 + 1e-14)
             total = np.array(slopes)
-            free = (
-                np.maximum(np.abs(1.0 - ranges[:, :, 0].sum(axis=0)), np.abs(1.0 - ranges[:, :, 1].sum(axis=0))) + 1e-14
-            )
-            off = free * wide
-            for k, lock in enumerate(self.locks):
-                found, steepness = lock.weights(places)
+            off = _most_left(weights) * wide
+            for lock, jets in zip(self.locks, weights, strict=True):
                 apart = lock.displacement(places) - bare
                 turned = lock.linear - slopes
                 size = np.linalg.norm(turned, axis=(1, 2)) * (1.0 + 1e-13)
-                total += found[:, None, None] * turned + apart[:, :, None] * steepness[:, None, :]
+                total += jets.value[:, None, None] * turned + apart[:, :, None] * jets.slope[:, None, :]
                 length = np.linalg.norm(apart, axis=1) + rounding.max(axis=1, initial=0.0)
-                varied = np.maximum(ranges[k, :, 1] - found, found - ranges[k, :, 0])
-                varied = np.minimum(varied, ranges[k, :, 2] * reach + 1e-14)
-                off += varied * size + _times((size + wide) * reach, ranges[k, :, 2]) + length * ranges[k, :, 3]
+                varied = np.minimum(jets.varied(), jets.steep * reach + 1e-14)
+                off += varied * size + _times((size + wide) * reach, jets.steep) + length * jets.off
                 scale = np.abs(places).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
-                off += _times(rounding.max(axis=1, initial=0.0) + ROUNDING * scale, ranges[k, :, 2])
-                off += ROUNDING * (size + length * ranges[k, :, 2])
+                off += _times(rounding.max(axis=1, initial=0.0) + ROUNDING * scale, jets.steep)
+                off += ROUNDING * (size + length * jets.steep)
             off = off * (1.0 + 1e-12) + ROUNDING * np.abs(total).sum(axis=(1, 2))
             steep[touched], spread[touched] = total, np.where(np.isnan(off), np.inf, off)
         gradients[rest], radii[rest] = np.where(known[:, None, None], steep, np.nan), spread
@@ -381,18 +415,18 @@ class LockedField:
         own, _ = base.strain_bounds(here, half, enough=enough)
         steep, spread = base.gradient_bounds(here, half)
         bare, rounding = base.displacement_bounds(here, np.zeros_like(here))
-        shares = 1.0 - boxes.weights[:, :, 1].sum(axis=0) - 1e-14, 1.0 - boxes.weights[:, :, 0].sum(axis=0) + 1e-14
+        shares = _least_left(boxes.weights), _most_left(boxes.weights)
         products = np.stack([share * side for share in shares for side in own.T])
         low, high = products.min(axis=0), products.max(axis=0)
         reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-14)
-        for k, lock in enumerate(self.locks):
+        for lock, jets in zip(self.locks, boxes.weights, strict=True):
             apart = lock.displacement(here) - bare
             size = np.linalg.norm(lock.linear - steep, axis=(1, 2)) + spread
             length = np.linalg.norm(apart, axis=1) + rounding.max(axis=1, initial=0.0) + size * reach
-            more = _times(length, boxes.weights[k, :, 2])
+            more = _times(length, jets.steep)
             least, most = _symmetric_range(lock.linear)
-            low += np.minimum(least, 0.0) * boxes.weights[k, :, 1] - more
-            high += np.maximum(most, 0.0) * boxes.weights[k, :, 1] + more
+            low += np.minimum(least, 0.0) * jets.high - more
+            high += np.maximum(most, 0.0) * jets.high + more
         slack = 1e-12 * (1.0 + np.abs(low) + np.abs(high))
         found = np.stack([low - slack, high + slack], axis=1)
         return np.where(np.isnan(found), np.array([-np.inf, np.inf]), found)
@@ -400,18 +434,45 @@ class LockedField:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Boxes:
-    """Boxes with the proved ranges (K, B, 4) of every lock's weight; bare ones see none, whole ones one bone alone."""
+    """Boxes with the weights of every lock over them; bare ones see none, and ``own`` (B,) is the lock that is whole."""
 
     centres: Points
     half_widths: Float
-    weights: Float
+    weights: tuple[Jets, ...]
     bare: Bool
-    whole: Bool
+    own: Int
+
+    @property
+    def whole(self) -> Bool:
+        """Boxes in which the field is one bone's displacement."""
+        found: Bool = self.own >= 0
+        return found
 
     def only(self, kept: NDArray[np.int64]) -> _Boxes:
-        return _Boxes(
-            self.centres[kept], self.half_widths[kept], self.weights[:, kept], self.bare[kept], self.whole[kept]
-        )
+        weights = tuple(jets.only(kept) for jets in self.weights)
+        return _Boxes(self.centres[kept], self.half_widths[kept], weights, self.bare[kept], self.own[kept])
+
+
+def _least_left(weights: Sequence[Jets]) -> Float:
+    """The least that weights of which one at most is not 0 leave of 1."""
+    most = np.max([jets.high for jets in weights], axis=0)
+    return np.asarray(1.0 - most - 1e-14, dtype=np.float64)
+
+
+def _most_left(weights: Sequence[Jets]) -> Float:
+    """The most that they leave."""
+    least = np.max([jets.low for jets in weights], axis=0)
+    return np.asarray(1.0 - least + 1e-14, dtype=np.float64)
+
+
+def _risen(jet: tuple[Float, Points], over: float) -> tuple[Float, Points]:
+    """A smooth step of a value with its gradient: 0 up to 0, 1 from ``over`` on, level at both."""
+    t = np.clip(jet[0] / over, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t), (6.0 * t * (1.0 - t) / over)[:, None] * jet[1]
+
+
+def _product(a: tuple[Float, Points], b: tuple[Float, Points]) -> tuple[Float, Points]:
+    return a[0] * b[0], a[0][:, None] * b[1] + b[0][:, None] * a[1]
 
 
 def _times(a: Float, b: Float) -> Float:

@@ -20,7 +20,7 @@ from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.locks import BoneLocks, Stand
 from musclefit.flow.steppers import HandleStepper, StepMaker
-from musclefit.flow.steps import CayleyStep, Step
+from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.distances import nearest_places, smooth_normals
 from musclefit.geometry.meshes import TriMesh
@@ -175,9 +175,7 @@ class BoneStepper:
     locks: BoneLocks | None = None
 
     def held_points(self) -> Points:
-        """(h, 3) points at rest that a march must have as its last tested points, mm; none where bones are locked."""
-        if self.locks is not None:
-            return np.zeros((0, 3))
+        """(h, 3) points at rest that a march must have as its last tested points, mm."""
         return np.concatenate([self.handles.path.position(0.0)[: self.exact], *(g.exposed for g in self.groups)])
 
     @property
@@ -186,14 +184,11 @@ class BoneStepper:
         return False
 
     def anchors(self, start: float) -> Points:
-        """(a, 3) vertices of the contact zones, exactly on their bones at the start; none where locked."""
-        return self._slipping(start) if self.locks is None else np.zeros((0, 3))
+        """(a, 3) vertices of the contact zones, exactly on their bones at the start."""
+        return self._slipping(start)
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The one step."""
-        if self.locks is not None:
-            locks = self.locks
-            return (lambda _tested, _anchors: self._locked_step(locks, start, end),)
 
         def make(tested: Points, anchors: Points) -> Step:
             here, there = self.handles.path.position(start), self.handles.path.position(end)
@@ -203,22 +198,26 @@ class BoneStepper:
             radial = self._radial(here, there)
             local = self._local(radial, held, targets, anchors, start=start, end=end)
             exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
-            return CayleyStep(_exact_at(exact, moves, CorrectedField(radial, local)))
+            base = CorrectedField(radial, local)
+            if self.locks is None:
+                return CayleyStep(_exact_at(exact, moves, base))
+            field = LockedField(base, self.locks.of_step(self._stands(start), self._stands(end)), self.locks.fade)
+            free = ~field.locked(exact)  # the others are carried by their bones, which are exact
+            return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], base)))
 
         return (make,)
 
-    def _locked_step(self, locks: BoneLocks, start: float, end: float) -> CayleyStep:
-        """The step between two moments, with bones exactly where they stand at both; it depends on nothing else."""
-        here, there = self.handles.path.position(start), self.handles.path.position(end)
-        held = np.concatenate([here[: self.exact], *self._exposed(start)])
-        targets = np.concatenate([there[: self.exact], *self._exposed(end)])
-        radial = self._radial(here, there)
-        local = self._local(radial, held, targets, self._slipping(start), start=start, end=end)
-        base = CorrectedField(radial, local)
-        field = LockedField(base, locks.of_step(self._stands(start), self._stands(end)))
-        exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
-        free = ~field.locked(exact)  # the others are carried by their bones, which are exact
-        return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], base)))
+    def trial_of_held(self, step: Step, held: Points) -> Trial:
+        """As any point; where bones are locked, the samples of their surfaces go where the field takes them unlocked.
+
+        So every step makes up for what those before it missed, and what the locks add to them does not add up.
+        """
+        field = step.field
+        if not isinstance(field, LockedField):
+            return step.trial(held)
+        exact, samples = step.trial(held[: self.exact]), CayleyStep(field.base)(held[self.exact :])
+        still = np.zeros((len(samples), 3, 3))
+        return Trial(np.concatenate([exact.moved, samples]), np.concatenate([exact.gradients, still]))
 
     def _exposed(self, t: float) -> list[Points]:
         return [s.vertices[~g.contact] for g, s in zip(self.groups, self._surfaces(t), strict=True)]

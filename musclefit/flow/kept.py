@@ -20,7 +20,7 @@ from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import StepMaker
-from musclefit.flow.steps import CayleyStep, Step
+from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
@@ -210,3 +210,7 @@ class _KeptStepper:
             return CayleyStep(CompactBackend(HANDLE_KERNEL, HANDLE_SUPPORT_MM).fit(0.5 * (now + there), there - now))
 
         return hold, put
+
+    def trial_of_held(self, step: Step, held: Points) -> Trial:
+        """As any point."""
+        return step.trial(held)

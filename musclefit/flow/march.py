@@ -17,7 +17,7 @@ from musclefit.fields.protocol import Backend
 from musclefit.flow.deformation import Deformation, Ridden, Status, StepRecord
 from musclefit.flow.rules import Rule
 from musclefit.flow.steppers import Stepper, explicit_step
-from musclefit.flow.steps import ExplicitStep, Step, jacobian_between
+from musclefit.flow.steps import ExplicitStep, Step, Trial, jacobian_between
 from musclefit.geometry.arrays import Gradients, Points
 from musclefit.progress import MARCH, Progress, Silent
 from musclefit.rig.handles import Path
@@ -147,7 +147,8 @@ class Marching:
         """The steps so far as a map; a march that is not at its end counts as out of steps."""
         steps = tuple(step for stretch in self.stretches for step in stretch.steps)
         records = tuple(record for stretch in self.stretches for record in stretch.records)
-        ridden = Ridden(self.tested, self.moved, self.jacobians)
+        own = len(self.tested) - self.held
+        ridden = Ridden(self.tested[:own], self.moved[:own], self.jacobians[:own])
         return Deformation(steps, records + self.blocked, self.status or Status.OUT_OF_STEPS, ridden)
 
     def marched(self, progress: Progress | None = None) -> Marching:
@@ -395,7 +396,7 @@ def _try(march: Marching, *, start: float, end: float) -> _Success | _Failure:
     for make in stepper.makers(start, end):
         try:
             step = make(moved[:count], moved[count:])
-            trial = step.trial(moved)
+            trial = _trial(march, step, moved)
         except (FieldError, NotConvergedError):
             # Too long for a field at its middle (handles that meet there), or for a solution: half as long may do.
             if stepper.shortens_exactly:
@@ -414,6 +415,16 @@ def _try(march: Marching, *, start: float, end: float) -> _Success | _Failure:
         jacobians.append(step.jacobian_from(trial.gradients[:count]))
     whole = reduce(lambda before, after: after @ before, jacobians)
     return _Success(tuple(steps), tuple(margins), tuple(places), tuple(befores), moved[:count], whole)
+
+
+def _trial(march: Marching, step: Step, moved: Points) -> Trial:
+    """A step tried on the tested points and on the anchors behind them; the stepper moves its own."""
+    end = len(march.moved)
+    own = slice(end - march.held, end)
+    other = np.r_[: own.start, end : len(moved)]
+    free, held = step.trial(moved[other]), march.stepper.trial_of_held(step, moved[own])
+    where = np.argsort(np.concatenate([other, np.arange(own.start, own.stop)]), kind="stable")
+    return Trial(np.concatenate([free.moved, held.moved])[where], np.concatenate([free.gradients, held.gradients])[where])
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from musclefit.fields.protocol import Backend
-from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
+from musclefit.flow.steps import CayleyStep, ExplicitStep, Step, Trial
 from musclefit.geometry.arrays import Points
 from musclefit.rig.handles import Path, StraightPath
 
@@ -33,6 +33,10 @@ class Stepper(Protocol):
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The makers of the steps from ``start`` to ``end`` of the path, in order."""
+        ...
+
+    def trial_of_held(self, step: Step, held: Points) -> Trial:
+        """Where a step that it made takes the (h, n) points that the march holds for it, mm."""
         ...
 
 
@@ -66,3 +70,7 @@ class HandleStepper:
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The one step."""
         return (lambda _tested, _anchors: self.make(self.backend, self.path.position(start), self.path.position(end)),)
+
+    def trial_of_held(self, step: Step, held: Points) -> Trial:
+        """As any point."""
+        return step.trial(held)

@@ -68,10 +68,13 @@ class CutAnatomy:
     anatomy : Anatomy
         The vertices that were given come first in each tissue.
     splits : mapping of tissue to number of split edges
+    given : Anatomy
+        As it was before: what does not cross itself there may come to do so by the rounding of an edge's middle.
     """
 
     anatomy: Anatomy
     splits: dict[str, int]
+    given: Anatomy
 
 
 def cut_at_rest(anatomy: Anatomy, *, longest_mm: float, whole: frozenset[str]) -> CutAnatomy:
@@ -89,7 +92,7 @@ def cut_at_rest(anatomy: Anatomy, *, longest_mm: float, whole: frozenset[str]) -
         for t in anatomy
     ]
     more = {t.name: len(t.surface.vertices) - len(anatomy[t.name].surface.vertices) for t in cut}
-    return CutAnatomy(Anatomy(tuple(cut), anatomy.frame), {name: number for name, number in more.items() if number})
+    return CutAnatomy(Anatomy(tuple(cut), anatomy.frame), {name: number for name, number in more.items() if number}, anatomy)
 
 
 @dataclass(slots=True)
@@ -201,7 +204,7 @@ class _Refinement:
 
     def part_crossings(self, tick: Tick) -> None:
         """Halve what comes to cross, tissue by tissue, until it does not or halving no longer makes it fewer."""
-        given = self._cut.anatomy
+        given = self._cut.given
         shortest = SHORTEST_SHARE * self._tolerance_mm
         fewest: dict[str, tuple[int, TriMesh, Int]] = {}
         last: dict[str, int] = {}

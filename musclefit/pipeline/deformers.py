@@ -15,6 +15,7 @@ from musclefit.errors import RigError
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.kernels import KERNELS
+from musclefit.fields.locked import Fade
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
@@ -52,9 +53,8 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 SAMPLED_MM = 3.0
 """Longest edge of the bones' surfaces where the field is held to them..."""
 
-LOCK_SPACING_MM, LOCK_FADE_MM, LOCK_GAP_MM = 0.4, 2.5, 4.0
-"""Of what locks the field to bones: spacing of the weights' lattice, where weights have faded, and how close bones that
-move otherwise may come before neither is locked there."""
+LOCK_SPACING_MM, LOCK_FADE = 0.8, Fade(over_mm=2.5, apart_mm=2.5)
+"""Of what locks the field to bones: spacing of the lattices that distances are smooth on, and where weights fade."""
 
 CONTACT_SAMPLED = 0.8
 """... and in and around the contact zones, in units of the finest lattice: between coarser samples the field, which is
@@ -279,8 +279,7 @@ def _locks(anatomy: Anatomy, groups: Sequence[RigidGroup], progress: Progress) -
     return BoneLocks.around(
         [TriMesh.together([anatomy[bone].surface for bone in group.bones]) for group in groups],
         spacing_mm=LOCK_SPACING_MM,
-        fade_mm=LOCK_FADE_MM,
-        gap_mm=LOCK_GAP_MM,
+        fade=LOCK_FADE,
         progress=progress,
     )
 

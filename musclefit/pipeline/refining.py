@@ -229,7 +229,7 @@ def _moved_as_wholes(job: Job) -> frozenset[str]:
 def _cut(job: Job, whole: frozenset[str]) -> CutAnatomy:
     surfaces = job.rig.surfaces
     if not surfaces.refine:
-        return CutAnatomy(job.anatomy, {})
+        return CutAnatomy(job.anatomy, {}, job.anatomy)
     return cut_at_rest(job.anatomy, longest_mm=surfaces.longest_edge_mm, whole=whole)
 
 

@@ -8,10 +8,11 @@ import trimesh
 
 from musclefit.certify.maps import certify_map
 from musclefit.errors import FieldError
-from musclefit.fields.locked import LockedField
+from musclefit.fields.locked import Fade, LockedField
 from musclefit.fields.rbf import RadialBackend
-from musclefit.flow.locks import BoneLocks, Stand, held_mm
+from musclefit.flow.locks import BoneLocks, Stand
 from musclefit.flow.steps import CayleyStep
+from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surface_samples import surface_samples
@@ -26,16 +27,17 @@ def ball(centre: tuple[float, float, float], radii: tuple[float, float, float]) 
 
 UPPER, LOWER = ball((0.0, 0.0, 22.0), (6.0, 7.0, 12.0)), ball((1.0, 0.0, -20.0), (6.0, 5.0, 13.0))
 TURN = RigidMotion.about_axis(centre=np.array([0.0, 0.0, 2.0]), axis=np.array([1.0, 0.2, 0.0]), angle_deg=9.0)
+FADE = Fade(over_mm=3.0, apart_mm=3.0)
 BEFORE = [Stand.of(RigidMotion.identity()), Stand.of(RigidMotion.identity())]
 AFTER = [Stand.of(RigidMotion.identity()), Stand.of(TURN)]
 
 
 @pytest.fixture(scope="module")
 def locked() -> LockedField:
-    locks = BoneLocks.around([UPPER, LOWER], spacing_mm=0.4, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, AFTER)
+    locks = BoneLocks.around([UPPER, LOWER], spacing_mm=0.8, fade=FADE).of_step(BEFORE, AFTER)
     at = np.concatenate([UPPER.vertices[::9], LOWER.vertices[::9]])
     to = np.concatenate([UPPER.vertices[::9], TURN(LOWER.vertices[::9])])
-    return LockedField(RadialBackend("isochoric-r3").fit(0.5 * (at + to), to - at), locks)
+    return LockedField(RadialBackend("isochoric-r3").fit(0.5 * (at + to), to - at), locks, FADE)
 
 
 def around(count: int = 20_000, seed: int = 3) -> np.ndarray:
@@ -107,24 +109,31 @@ def test_bounds_come_close_to_what_small_boxes_hold(locked):
 def test_a_locked_step_is_certified_and_one_too_steep_is_not(locked):
     skin = ball((0.0, 0.0, 1.0), (20.0, 20.0, 45.0))
     assert certify_map([(StepKind.CAYLEY, locked)], skin).claim is MapClaim.CERTIFIED
-    assert certify_map([(StepKind.CAYLEY, locked.scaled(12.0))], skin).claim is not MapClaim.CERTIFIED
+    assert certify_map([(StepKind.CAYLEY, locked.scaled(24.0))], skin).claim is not MapClaim.CERTIFIED
 
 
-def test_bones_too_close_to_each_other_are_not_locked_there_and_weights_never_exceed_one():
+def still(surfaces: list[TriMesh], spacing: float, fade: Fade) -> LockedField:
+    """Locks of bones that stay where they are."""
+    stands = [Stand.of(RigidMotion.identity()) for _ in surfaces]
+    locks = BoneLocks.around(surfaces, spacing_mm=spacing, fade=fade).of_step(stands, stands)
+    return LockedField(RadialBackend("r3").fit(UPPER.vertices[::9], 0.0 * UPPER.vertices[::9]), locks, fade)
+
+
+def test_where_bones_touch_neither_counts_and_no_place_sees_two():
     near = ball((0.0, 0.0, -14.0), (6.0, 5.0, 23.5))
-    locks = BoneLocks.around([UPPER, near], spacing_mm=0.4, fade_mm=3.0, gap_mm=3.0).of_step(BEFORE, BEFORE)
-    points = around(60_000)
-    total = sum(lock.weights(points)[0] for lock in locks)
-    assert total.max() <= 1.0 + 1e-4
+    field = still([UPPER, near], 0.4, FADE)
+    weights, _ = field.weights(around(60_000))
+    assert (np.sort(weights, axis=0)[0] == 0.0).all()
+    assert weights.max() == 1.0
     tip = np.array([[0.0, 0.0, 9.9]])
-    assert locks[0].weights(tip)[0][0] < 0.5
+    assert field.weights(tip)[0].max() < 0.2
     top = UPPER.vertices[UPPER.vertices[:, 2] > 25.0]
-    np.testing.assert_array_equal(locks[0].weights(top)[0], 1.0)
+    np.testing.assert_array_equal(field.weights(top)[0][0], 1.0)
 
 
 def test_a_half_turn_in_one_step_is_refused():
     half = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 1.0, 0.0]), angle_deg=180.0)
-    locks = BoneLocks.around([UPPER], spacing_mm=0.5, fade_mm=3.0, gap_mm=4.0)
+    locks = BoneLocks.around([UPPER], spacing_mm=0.8, fade=FADE)
     with pytest.raises(FieldError, match="180 degrees"):
         locks.of_step(BEFORE[:1], [Stand.of(half)])
 
@@ -134,38 +143,48 @@ TOUCHING = {"a gap of 0.5 mm": -14.0, "an overlap of 0.4 mm": -13.1, "a wide gap
 
 
 @pytest.mark.parametrize("z", TOUCHING.values(), ids=TOUCHING)
-@pytest.mark.parametrize(("spacing", "fade", "gap"), [(0.4, 2.0, 4.0), (0.4, 6.0, 3.0), (0.8, 3.0, 6.0)])
-def test_weights_are_continuous_from_cell_to_cell_however_near_bones_are(z, spacing, fade, gap):
-    """A proof speaks of a continuous field: weights must not jump between what bones share and what is deep in one."""
+@pytest.mark.parametrize(("spacing", "over", "apart"), [(0.4, 2.0, 4.0), (0.8, 6.0, 3.0), (1.5, 3.0, 1.5)])
+def test_weights_are_continuous_from_cell_to_cell_however_near_bones_are(z, spacing, over, apart):
+    """A proof speaks of a continuous field: distances must not jump between what has values and what has none."""
     low = ball((0.0, 0.0, z), (16.0, 16.0, 14.5))
-    locks = BoneLocks.around([BIG, low], spacing_mm=spacing, fade_mm=fade, gap_mm=gap).of_step(BEFORE, BEFORE)
-    for number, lock in enumerate(locks):
-        lattice = lock.weight
+    field = still([BIG, low], spacing, Fade(over, apart))
+    for lock in field.locks:
+        lattice = lock.nearness
         for axis in range(3):
             places = np.random.default_rng(axis).uniform([-20.0, -20.0, -35.0], [20.0, 20.0, 52.0], (60_000, 3))
             cells = np.round((places[:, axis] - lattice.low[axis]) / spacing) - 0.5
             places[:, axis] = lattice.low[axis] + cells * spacing
             beside = 1e-9 * np.eye(3)[axis]
             (before, rising), (after, going_on) = lattice.at(places - beside), lattice.at(places + beside)
-            assert 0.0 < before.max() <= 1.0
+            assert before.min() < 0.0
             np.testing.assert_allclose(after, before, rtol=0, atol=1e-7)
             np.testing.assert_allclose(going_on, rising, rtol=0, atol=1e-6)
-        assert lattice.at((BIG, low)[number].vertices)[0].max() == 1.0
+
+
+@pytest.mark.parametrize("spacing", [0.4, 0.8, 2.0])
+@pytest.mark.parametrize("surface", [BIG, UPPER, ball((0.0, 0.0, 0.0), (1.0, 9.0, 9.0))])
+def test_smooth_distances_are_no_larger_on_the_surface_than_they_say(surface, spacing):
+    """Not even on bones thinner than the lattice."""
+    near = BoneLocks.around([surface], spacing_mm=spacing, fade=FADE).near[0]
+    distances, _ = near.at(surface_samples(surface, spacing_mm=0.1).points)
+    assert distances.max() <= near.surface_mm < spacing
+    # a length away they tell that length, as closely as they are smooth
+    normals = surface.vertices - surface.vertices.mean(axis=0)
+    outward = surface.vertices + 4.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    true = nearest_places(outward, surface).distances
+    np.testing.assert_allclose(near.at(outward)[0], true, rtol=0, atol=0.4 * spacing)
 
 
 def test_weights_change_no_faster_than_what_they_fade_over():
-    """Where another bone comes within reach, its distance is known from as far as it matters."""
     low = ball((0.0, 0.0, -14.0), (16.0, 16.0, 14.5))
-    spacing, fade, gap = 0.4, 3.0, 4.0
-    locks = BoneLocks.around([BIG, low], spacing_mm=spacing, fade_mm=fade, gap_mm=gap).of_step(BEFORE, BEFORE)
+    field = still([BIG, low], 0.8, Fade(over_mm=3.0, apart_mm=2.0))
     places = np.random.default_rng(4).uniform([-20.0, -20.0, -35.0], [20.0, 20.0, 52.0], (200_000, 3))
-    steepest = max(np.linalg.norm(lock.weights(places)[1], axis=1).max() for lock in locks)
-    # A fall from 1 to 0 over a length is at most 1.5 over it steep: by distance, between the bones, and in the gap.
-    held = held_mm(spacing)
-    assert steepest < 1.5 / (fade - held) + 1.5 / (gap - 2.0 * held) + 1.5 / (0.6 * gap)
+    steepest = np.linalg.norm(field.weights(places)[1], axis=2).max()
+    # A fall from 1 to 0 over a length is at most 1.5 over it steep; the difference of two distances changes twice.
+    assert 1.0 < steepest < 1.2 * (1.5 / 3.0 + 2.0 * 1.5 / 2.0)
 
 
-@pytest.mark.parametrize(("spacing", "fade", "gap"), [(0.8, 2.0, 6.0), (0.5, 3.0, 3.0)])
-def test_a_lattice_too_wide_for_the_lock_is_refused(spacing, fade, gap):
+@pytest.mark.parametrize(("over", "apart"), [(0.5, 3.0), (3.0, 0.7)])
+def test_a_lattice_too_wide_for_the_lock_is_refused(over, apart):
     with pytest.raises(FieldError, match=r"take a narrower lattice"):
-        BoneLocks.around([UPPER], spacing_mm=spacing, fade_mm=fade, gap_mm=gap)
+        BoneLocks.around([UPPER], spacing_mm=0.8, fade=Fade(over, apart))

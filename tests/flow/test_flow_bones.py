@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.fields.locked import Fade
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, contact_residuals, rigid_groups
 from musclefit.flow.deformation import Status
@@ -73,9 +74,8 @@ def on_the_rods() -> Handles:
 
 LOCKS = BoneLocks.around(
     [TriMesh.together([ANATOMY[bone].surface for bone in group.bones]) for group in GROUPS],
-    spacing_mm=0.4,
-    fade_mm=2.5,
-    gap_mm=4.0,
+    spacing_mm=0.8,
+    fade=Fade(over_mm=2.5, apart_mm=2.5),
 )
 
 

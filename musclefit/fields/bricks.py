@@ -1,9 +1,9 @@
-"""Fused, threaded sums of quadratic B-splines on lattices kept in bricks: weights between 0 and 1, and proved ranges.
+"""Fused, threaded sums of quadratic B-splines on lattices kept in bricks: values between 0 and 1, and proved ranges.
 
 A lattice of nodes is cut into bricks of ``SIDE`` cells along each axis, a cell being what is nearer to one node than to
-any other along every axis. ``bricks`` holds a row of values for each brick, or ``NOTHING`` (all weights 0) or ``WHOLE``
-(all weights 1). A row has the values of the brick's own nodes and of one more on each side, so that every sum stays in
-one brick. Values are whole numbers from 0 to ``ONE``: a weight is exactly 1 where every value that it sees is ``ONE``.
+any other along every axis. ``bricks`` holds a row of values for each brick, or ``NOTHING`` (all values 0) or ``WHOLE``
+(all values 1). A row has the values of the brick's own nodes and of one more on each side, so that every sum stays in
+one brick. They are whole numbers from 0 to ``ONE``, which stands for 1: a sum is exactly 1 where every value that it sees is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ ACROSS = SIDE + 2
 """Values of a brick along each axis."""
 
 ONE = 65535
-"""The value of weight 1."""
+"""What stands for 1."""
 
 NOTHING, WHOLE = -1, -2
 """Bricks without values."""
@@ -37,13 +37,13 @@ def _spline(t, w, d):
 
 
 @njit(parallel=True, cache=True)
-def weights_at(low, h, bricks, values, points, weights, gradients):
-    """Write weights (N,) and their gradients (N, 3), per mm, at points (N, 3)."""
+def values_at(low, h, bricks, values, points, sums, gradients):
+    """Write sums (N,) and their gradients (N, 3), per mm, at points (N, 3)."""
     n = points.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
         w, d, node, brick = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, np.int64), np.zeros(3, np.int64)
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            weights[p] = 0.0
+            sums[p] = 0.0
             gradients[p, 0] = gradients[p, 1] = gradients[p, 2] = 0.0
             within = True
             for axis in range(3):
@@ -60,7 +60,7 @@ def weights_at(low, h, bricks, values, points, weights, gradients):
             if row == -1:
                 continue
             if row == -2:
-                weights[p] = 1.0
+                sums[p] = 1.0
                 continue
             a, b, c = node[0] - brick[0] * SIDE, node[1] - brick[1] * SIDE, node[2] - brick[2] * SIDE
             least, most = 65535, 0
@@ -77,9 +77,9 @@ def weights_at(low, h, bricks, values, points, weights, gradients):
                     gy += w[0, i] * d[1, j] * along
                     gz += w[0, i] * w[1, j] * (d[2, 0] * v0 + d[2, 1] * v1 + d[2, 2] * v2)
             if least == 65535:
-                weights[p] = 1.0
+                sums[p] = 1.0
             elif most > 0:
-                weights[p] = min(total / 65535.0, 1.0)
+                sums[p] = min(total / 65535.0, 1.0)
                 gradients[p, 0] = gx / (65535.0 * h)
                 gradients[p, 1] = gy / (65535.0 * h)
                 gradients[p, 2] = gz / (65535.0 * h)
@@ -147,11 +147,11 @@ def _value(bricks, values, i, j, k):
 
 
 @njit(parallel=True, cache=True)
-def weight_ranges(low, h, bricks, values, ranges, centres, half_widths, gradients, out):
+def value_ranges(low, h, bricks, values, ranges, centres, half_widths, gradients, out):
     """Proved ranges over boxes of centres and half widths (B, 3), mm, in the lattice's own frame.
 
     ``ranges`` is what `brick_ranges` gives, and ``gradients`` (B, 3) are those at the centres. Writes
-    (B, 4): lowest and highest weight, largest length of the gradient, and how far it gets from that at the centre.
+    (B, 4): lowest and highest sum, largest length of the gradient, and how far it gets from that at the centre.
     """
     top = 1.0 + 1e-12
     for box in prange(centres.shape[0]):

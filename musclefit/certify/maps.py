@@ -68,7 +68,7 @@ be made of what is inside the first."""
 SAMPLES = 8000
 """Grid points of the body's bounding box that a search for a fold looks at first."""
 
-MAX_SPLITS = 6
+MAX_SPLITS = 10
 """Times that a piece of the surface is cut in four before its midpoint is given up."""
 
 MAX_PATCHES = 400_000

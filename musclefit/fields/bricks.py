@@ -3,7 +3,8 @@
 A lattice of nodes is cut into bricks of ``SIDE`` cells along each axis, a cell being what is nearer to one node than to
 any other along every axis. ``bricks`` holds a row of values for each brick, or ``NOTHING`` (all values 0) or ``WHOLE``
 (all values 1). A row has the values of the brick's own nodes and of one more on each side, so that every sum stays in
-one brick. They are whole numbers from 0 to ``ONE``, which stands for 1: a sum is exactly 1 where every value that it sees is.
+one brick. They are whole numbers from 0 to ``ONE``, which stands for 1: a sum is exactly 1 where every value that it
+sees is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Functions over boxes, known by value and gradient at the centres and by how far these get from them: proved ranges."""
+"""Functions over boxes: value and gradient at the centres, and proved bounds of how far they get from these."""
 
 from __future__ import annotations
 

@@ -46,10 +46,10 @@ class BoundedBase(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Nearness:
-    """Distance from a bone, made smooth: a sum of quadratic B-splines on a lattice in bricks (`musclefit.fields.bricks`).
+    """Distance from a bone, made smooth: a sum of quadratic B-splines on a lattice in bricks.
 
-    It runs from ``-depth_mm`` deep within the bone to ``reach_mm`` far from it, and is no more than ``surface_mm`` at
-    any place of the bone's surface.
+    See `musclefit.fields.bricks`. It runs from ``-depth_mm`` deep within the bone to ``reach_mm`` far from it, and is
+    no more than ``surface_mm`` at any place of the bone's surface.
 
     Parameters
     ----------
@@ -107,6 +107,23 @@ class Nearness:
         return found
 
 
+@dataclass(frozen=True, slots=True)
+class Fade:
+    """Where a bone counts: near it, and only where no other is.
+
+    The weight of bone k is the product of how near it is, whole up to its surface and nothing ``over_mm`` farther away,
+    and for each other bone j of how much nearer it is than j: nothing where both are as near, whole where j is farther
+    away by the smaller ``apart_mm`` of the two. So no place sees two bones, and between bones that touch none counts.
+
+    Parameters
+    ----------
+    over_mm, apart_mm : float
+    """
+
+    over_mm: float
+    apart_mm: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Lock:
     """One bone's affine displacement, and where the bone is.
@@ -115,6 +132,7 @@ class Lock:
     ----------
     nearness : Nearness
         Of the bone at rest.
+    fade : Fade
     to_rest : (3, 3) float64
     shift : (3,) float64, mm
         A point x of the field stands for ``to_rest @ x + shift`` of the bone at rest.
@@ -124,6 +142,7 @@ class Lock:
     """
 
     nearness: Nearness
+    fade: Fade
     to_rest: Float
     shift: Float
     linear: Float
@@ -134,12 +153,13 @@ class Lock:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
-    def of_step(cls, nearness: Nearness, before: tuple[Float, Float], after: tuple[Float, Float]) -> Self:
+    def of_step(cls, nearness: Nearness, fade: Fade, before: tuple[Float, Float], after: tuple[Float, Float]) -> Self:
         """Of a Cayley step that takes a bone from one affine map of its rest shape to another.
 
         Parameters
         ----------
         nearness : Nearness
+        fade : Fade
         before, after : ((3, 3), (3,)) float64
             Linear part and translation, mm, from rest.
 
@@ -153,7 +173,7 @@ class Lock:
             raise FieldError("a bone turns by about 180 degrees in one step; use smaller steps")
         to_rest: Float = np.asarray(np.linalg.inv(middle), dtype=np.float64)
         linear = (after[0] - before[0]) @ to_rest
-        return cls(nearness, to_rest, -to_rest @ halfway, linear, after[1] - before[1] - linear @ halfway)
+        return cls(nearness, fade, to_rest, -to_rest @ halfway, linear, after[1] - before[1] - linear @ halfway)
 
     def displacement(self, points: Points) -> Points:
         """(N, 3) affine displacements, mm."""
@@ -172,30 +192,14 @@ class Lock:
         halves = half_widths @ np.abs(self.to_rest).T * (1.0 + 1e-14) + 1e-14 * size
         ranges = self.nearness.ranges(middles, halves)
         stretch = float(np.linalg.norm(self.to_rest, 2)) * (1.0 + 1e-12)
-        jets = Jets(*self.distances(centres), ranges[:, 0], ranges[:, 1], stretch * ranges[:, 2], stretch * ranges[:, 3])
+        jets = Jets(
+            *self.distances(centres), ranges[:, 0], ranges[:, 1], stretch * ranges[:, 2], stretch * ranges[:, 3]
+        )
         return jets.within(np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)).widened(ROUNDING_MM)
 
     def scaled(self, factor: float) -> Self:
         """With a displacement ``factor`` times as large."""
         return replace(self, linear=factor * self.linear, translation=factor * self.translation)
-
-
-@dataclass(frozen=True, slots=True)
-class Fade:
-    """Where bones count: at ``surface_mm`` whole, ``over_mm`` farther away not at all, and only where no other is near.
-
-    The weight of bone k is the product of how near it is and, for each other bone j, of how much nearer it is than j:
-    nothing where j is no more than ``free_mm`` farther away, whole where it is at least ``apart_mm`` farther. So no
-    place sees two bones, and between bones that touch none counts.
-
-    Parameters
-    ----------
-    over_mm, apart_mm, free_mm : float
-    """
-
-    over_mm: float
-    apart_mm: float
-    free_mm: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -207,12 +211,10 @@ class LockedField:
     base : Field
         In space.
     locks : tuple of Lock
-    fade : Fade
     """
 
     base: Field
     locks: tuple[Lock, ...]
-    fade: Fade
 
     def displacement(self, points: Points) -> Points:
         """(N, 3) displacements at (N, 3) points, mm."""
@@ -257,7 +259,8 @@ class LockedField:
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
         half_widths = np.broadcast_to(half_widths, centres.shape)
-        return self._enclosed(self._boxes(centres, half_widths))
+        boxes = self._boxes(centres, half_widths)
+        return self._enclosed(boxes, self._bare(boxes))
 
     def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
         """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.
@@ -272,24 +275,26 @@ class LockedField:
         half_widths = np.broadcast_to(half_widths, centres.shape)
         boxes = self._boxes(centres, half_widths)
         ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
-        bare, mixed = boxes.bare, np.flatnonzero(~boxes.bare & ~boxes.whole)
-        if bare.any():
-            ranges[bare], middles[bare] = base.strain_bounds(centres[bare], half_widths[bare], enough=enough)
+        alone, mixed = boxes.bare, np.flatnonzero(~boxes.bare & ~boxes.whole)
+        if alone.any():
+            ranges[alone], middles[alone] = base.strain_bounds(centres[alone], half_widths[alone], enough=enough)
         for k, lock in enumerate(self.locks):
             own = boxes.own == k
             ranges[own] = _symmetric_range(lock.linear)
             middles[own] = ranges[own]
         if mixed.size:
             part = boxes.only(mixed)
-            gradients, radii = self._enclosed(part)
+            bare = self._bare(part)
+            gradients, radii = self._enclosed(part, bare)
             values = np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1)))[:, [0, -1]]
             off = radii + ROUNDING * np.abs(gradients).sum(axis=(1, 2))
             first = np.stack([values[:, 0] - off, values[:, 1] + off], axis=1)
             found = np.where(np.isnan(first), np.array([-np.inf, np.inf]), first)
-            short = ~((found[:, 0] >= enough[0]) & (found[:, 1] <= enough[1]))
-            if short.any():
+            wide = np.linalg.norm(part.half_widths, axis=1) > min(lock.nearness.spacing_mm for lock in self.locks)
+            short = np.flatnonzero(wide & ~((found[:, 0] >= enough[0]) & (found[:, 1] <= enough[1])))
+            if short.size:
                 found[short] = enclosures.narrower(
-                    found[short], self._blended(part.only(np.flatnonzero(short)), enough)
+                    found[short], self._blended(part.only(short), bare.only(short), enough)
                 )
             ranges[mixed], middles[mixed] = found, values
         return ranges, middles
@@ -298,7 +303,7 @@ class LockedField:
         """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, 3) each, mm."""
         half_widths = np.broadcast_to(half_widths, centres.shape)
         boxes = self._boxes(centres, half_widths)
-        gradients, radii = self._enclosed(boxes)
+        gradients, radii = self._enclosed(boxes, self._bare(boxes))
         values = self.displacement(centres)
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14)
         wide = np.where(reach > 0.0, (np.linalg.norm(gradients, axis=(1, 2)) * (1.0 + 1e-13) + radii) * reach, 0.0)
@@ -322,21 +327,19 @@ class LockedField:
         count = len(self.locks)
         weights, slopes = np.zeros((count, len(points))), np.zeros((count, len(points), 3))
         found = [lock.distances(points) for lock in self.locks]
-        for k, (own, steep) in enumerate(found):
-            near = np.flatnonzero(own < self.locks[k].nearness.surface_mm + self.fade.over_mm)
-            value, slope = self._nearby(k, own[near], steep[near])
+        for k, (lock, (own, steep)) in enumerate(zip(self.locks, found, strict=True)):
+            near = np.flatnonzero(own < lock.nearness.surface_mm + lock.fade.over_mm)
+            risen, steepness = _risen((own[near] - lock.nearness.surface_mm, steep[near]), lock.fade.over_mm)
+            value, slope = 1.0 - risen, -steepness
             for j, (other, beside) in enumerate(found):
                 if j != k:
-                    value, slope = _product(
-                        (value, slope), _risen((other[near] - own[near] - self.fade.free_mm, beside[near] - steep[near]), self.fade.apart_mm - self.fade.free_mm)
-                    )
+                    farther = other[near] - own[near], beside[near] - steep[near]
+                    value, slope = _product((value, slope), _risen(farther, self._apart(k, j)))
             weights[k, near], slopes[k, near] = value, slope
         return weights, slopes
 
-    def _nearby(self, k: int, own: Float, steep: Points) -> tuple[Float, Points]:
-        """How near a bone is, from 1 to 0."""
-        value, slope = _risen((own - self.locks[k].nearness.surface_mm, steep), self.fade.over_mm)
-        return 1.0 - value, -slope
+    def _apart(self, k: int, j: int) -> float:
+        return min(self.locks[k].fade.apart_mm, self.locks[j].fade.apart_mm)
 
     def _weights(self, points: Points) -> tuple[Float, list[tuple[Float, Points]]]:
         """What is left for the base field (N,), and the weights of each lock."""
@@ -347,82 +350,85 @@ class LockedField:
         found = [lock.over(centres, half_widths) for lock in self.locks]
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)
         weights = []
-        for k, own in enumerate(found):
-            jets = own.risen(self.locks[k].nearness.surface_mm, self.fade.over_mm).complement()
+        for k, (lock, distance) in enumerate(zip(self.locks, found, strict=True)):
+            jets = distance.risen(lock.nearness.surface_mm, lock.fade.over_mm).complement()
             for j, other in enumerate(found):
                 if j != k:
-                    jets = jets.times(other.minus(own, reach).risen(self.fade.free_mm, self.fade.apart_mm - self.fade.free_mm))
+                    jets = jets.times(other.minus(distance, reach).risen(0.0, self._apart(k, j)))
             weights.append(jets)
-        bare = np.ones(len(centres), dtype=bool)
-        for jets in weights:
-            bare &= jets.high == 0.0
-        own = np.full(len(centres), -1)
+        bare, own = np.ones(len(centres), dtype=bool), np.full(len(centres), -1)
         for k, jets in enumerate(weights):
+            bare &= jets.high == 0.0
             own[jets.low == 1.0] = k
         return _Boxes(centres, half_widths, tuple(weights), bare, own)
 
-    def _enclosed(self, boxes: _Boxes) -> tuple[Gradients, Float]:
+    def _bare(self, boxes: _Boxes) -> _Bare:
+        """What is proved of the base field over boxes that see it."""
+        base, n = self.base, len(boxes.centres)
+        steep, spread = np.zeros((n, 3, 3)), np.zeros(n)
+        values, rounding = np.zeros((n, 3)), np.zeros(n)
+        seen = np.flatnonzero(~boxes.whole)
+        if seen.size:
+            found = base.gradient_bounds(
+                np.ascontiguousarray(boxes.centres[seen]), np.ascontiguousarray(boxes.half_widths[seen])
+            )
+            known: Bool = np.asarray(np.isfinite(found[0]).all(axis=(1, 2)), dtype=np.bool_)
+            steep[seen], spread[seen] = np.where(known[:, None, None], found[0], 0.0), np.where(known, found[1], np.inf)
+        touched = np.flatnonzero(~boxes.whole & ~boxes.bare)
+        if touched.size:
+            # bounds of the base's value at the centres carry its own rounding
+            if not isinstance(base, BoundedBase):
+                raise FieldError(f"a {type(base).__name__} does not bound its values; it cannot be proved with locks")
+            places = np.ascontiguousarray(boxes.centres[touched])
+            values[touched], off = base.displacement_bounds(places, np.zeros_like(places))
+            rounding[touched] = off.max(axis=1, initial=0.0)
+        return _Bare(steep, spread, values, rounding)
+
+    def _enclosed(self, boxes: _Boxes, bare: _Bare) -> tuple[Gradients, Float]:
         """Gradients at the centres of boxes, and how far they get from them.
 
         With c the centre, e = A_k - B and D' the gradient of the field, D' - D'(c) is the sum of (1 - W)(B' - B'(c)),
         (w_k - w_k(c))(A_k' - B'(c)), (e - e(c)) w_k' and e(c)(w_k' - w_k'(c)) over all k, W the sum of all w_k.
         """
-        centres, halves = boxes.centres, boxes.half_widths
-        gradients, radii = np.zeros((len(centres), 3, 3)), np.zeros(len(centres))
+        gradients, radii = np.array(bare.steep), np.array(bare.spread)
         for k, lock in enumerate(self.locks):
             gradients[boxes.own == k] = lock.linear
-        rest = np.flatnonzero(~boxes.whole)
-        if not rest.size:
-            return gradients, radii
-        here, half = np.ascontiguousarray(centres[rest]), np.ascontiguousarray(halves[rest])
-        steep, spread = self.base.gradient_bounds(here, half)
-        known: Bool = np.asarray(np.isfinite(steep).all(axis=(1, 2)), dtype=np.bool_)
-        steep, spread = np.where(known[:, None, None], steep, 0.0), np.where(known, spread, np.inf)
-        touched = ~boxes.bare[rest]
-        if touched.any():
-            # bounds of the base's value at the centres carry its own rounding
-            base = self.base
-            if not isinstance(base, BoundedBase):
-                raise FieldError(f"a {type(base).__name__} does not bound its values; it cannot be proved with locks")
-            places = here[touched]
-            bare, rounding = base.displacement_bounds(places, np.zeros_like(places))
-            slopes, wide = steep[touched], spread[touched]
-            weights = [jets.only(rest[touched]) for jets in boxes.weights]
-            reach = np.linalg.norm(half[touched], axis=1) * (1.0 + 1e-14)
-            total = np.array(slopes)
-            off = _most_left(weights) * wide
-            for lock, jets in zip(self.locks, weights, strict=True):
-                apart = lock.displacement(places) - bare
-                turned = lock.linear - slopes
+        touched = np.flatnonzero(~boxes.whole & ~boxes.bare)
+        if touched.size:
+            part, found = boxes.only(touched), bare.only(touched)
+            reach = np.linalg.norm(part.half_widths, axis=1) * (1.0 + 1e-14)
+            total, wide = np.array(found.steep), found.spread
+            off = _most_left(part.weights) * wide
+            for lock, jets in zip(self.locks, part.weights, strict=True):
+                apart = lock.displacement(part.centres) - found.values
+                turned = lock.linear - found.steep
                 size = np.linalg.norm(turned, axis=(1, 2)) * (1.0 + 1e-13)
                 total += jets.value[:, None, None] * turned + apart[:, :, None] * jets.slope[:, None, :]
-                length = np.linalg.norm(apart, axis=1) + rounding.max(axis=1, initial=0.0)
+                length = np.linalg.norm(apart, axis=1) + found.rounding
                 varied = np.minimum(jets.varied(), jets.steep * reach + 1e-14)
                 off += varied * size + _times((size + wide) * reach, jets.steep) + length * jets.off
-                scale = np.abs(places).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
-                off += _times(rounding.max(axis=1, initial=0.0) + ROUNDING * scale, jets.steep)
+                scale = np.abs(part.centres).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
+                off += _times(found.rounding + ROUNDING * scale, jets.steep)
                 off += ROUNDING * (size + length * jets.steep)
             off = off * (1.0 + 1e-12) + ROUNDING * np.abs(total).sum(axis=(1, 2))
-            steep[touched], spread[touched] = total, np.where(np.isnan(off), np.inf, off)
-        gradients[rest], radii[rest] = np.where(known[:, None, None], steep, np.nan), spread
+            gradients[touched], radii[touched] = total, np.where(np.isnan(off), np.inf, off)
+        gradients[np.isinf(bare.spread)] = np.nan  # the base field has no derivative there that a proof knows
         return gradients, radii
 
-    def _blended(self, boxes: _Boxes, enough: tuple[float, float]) -> Float:
+    def _blended(self, boxes: _Boxes, bare: _Bare, enough: tuple[float, float]) -> Float:
         """Ranges from the base field's own, tighter than its gradient's, and what fading adds at most."""
         base = self.base
         assert isinstance(base, BoundedBase)
         here, half = np.ascontiguousarray(boxes.centres), np.ascontiguousarray(boxes.half_widths)
         own, _ = base.strain_bounds(here, half, enough=enough)
-        steep, spread = base.gradient_bounds(here, half)
-        bare, rounding = base.displacement_bounds(here, np.zeros_like(here))
         shares = _least_left(boxes.weights), _most_left(boxes.weights)
         products = np.stack([share * side for share in shares for side in own.T])
         low, high = products.min(axis=0), products.max(axis=0)
         reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-14)
         for lock, jets in zip(self.locks, boxes.weights, strict=True):
-            apart = lock.displacement(here) - bare
-            size = np.linalg.norm(lock.linear - steep, axis=(1, 2)) + spread
-            length = np.linalg.norm(apart, axis=1) + rounding.max(axis=1, initial=0.0) + size * reach
+            apart = lock.displacement(here) - bare.values
+            size = np.linalg.norm(lock.linear - bare.steep, axis=(1, 2)) + bare.spread
+            length = np.linalg.norm(apart, axis=1) + bare.rounding + size * reach
             more = _times(length, jets.steep)
             least, most = _symmetric_range(lock.linear)
             low += np.minimum(least, 0.0) * jets.high - more
@@ -433,8 +439,22 @@ class LockedField:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Bare:
+    """What is proved of the base field over boxes: its gradient (B, 3, 3) at the centres and how far it gets from that;
+    its value (B, 3) at the centres and what rounding that may be off by. Nothing where one bone is whole."""
+
+    steep: Gradients
+    spread: Float
+    values: Points
+    rounding: Float
+
+    def only(self, kept: Int) -> _Bare:
+        return _Bare(self.steep[kept], self.spread[kept], self.values[kept], self.rounding[kept])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class _Boxes:
-    """Boxes with the weights of every lock over them; bare ones see none, and ``own`` (B,) is the lock that is whole."""
+    """Boxes with the weights of every lock over them; bare ones see none, ``own`` (B,) is the lock that is whole."""
 
     centres: Points
     half_widths: Float

@@ -54,9 +54,9 @@ class SolenoidalBackend:
         if not 0.0 <= self.tolerance_mm < np.inf:
             raise FieldError(f"the tolerance is {self.tolerance_mm} mm; it must be a number of at least 0")
 
-    def at_rest(self, points: Points, *, spacings_mm: Sequence[float]) -> SolenoidalField:
-        """The zero field on lattices of the given spacings around (N, 3) points, mm."""
-        return SolenoidalField(tuple(PotentialLevel.around(points, spacing_mm=h) for h in spacings_mm))
+    def at_rest(self, levels: Sequence[tuple[float, Points]]) -> SolenoidalField:
+        """The zero field on lattices, each of a spacing, mm, and around (N, 3) points, mm."""
+        return SolenoidalField(tuple(PotentialLevel.around(points, spacing_mm=h) for h, points in levels))
 
     def fit(
         self,

@@ -47,6 +47,12 @@ MISSED_MM = 0.003
 PATH_SAMPLES = 9
 """Poses along the path, ends included, at which the contact zone is looked for."""
 
+NARROW_REACH = 4.0
+"""How far around contacts the narrowest lattice reaches where bones are locked, in units of its spacing."""
+
+IN_GAPS = (0.25, 0.5)
+"""Where the rule is tested beside contact zones, in units of how far apart bones must be for both to be locked."""
+
 SAME_MOTION = 1e-9
 """Bones whose motions differ by less than this, in rotation entries and mm, move as one."""
 
@@ -82,7 +88,7 @@ class RigidGroup:
 
 
 def rigid_groups(
-    anatomy: Anatomy, motions: BoneMotions, *, contact_zone_mm: float, sampled_mm: float, contact_sampled_mm: float
+    anatomy: Anatomy, motions: BoneMotions, *, zones_mm: Float, sampled_mm: float, contact_sampled_mm: float
 ) -> tuple[RigidGroup, ...]:
     """Bones of the anatomy by common motion, with the contact zones between them.
 
@@ -91,9 +97,9 @@ def rigid_groups(
     anatomy : Anatomy
     motions : BoneMotions
         Bones that they do not know are left out: they follow the soft tissue.
-    contact_zone_mm : float
-        A vertex belongs to the contact zone when it comes closer than this to the surface of another group at one of
-        ``PATH_SAMPLES`` poses.
+    zones_mm : (K, K) float64
+        A vertex of one of the K groups belongs to the contact zone when it comes closer than this to the surface of
+        another at one of ``PATH_SAMPLES`` poses.
     sampled_mm : float
         No edge of the groups' surfaces is longer.
     contact_sampled_mm : float
@@ -101,23 +107,24 @@ def rigid_groups(
     """
     samples = poses_on_the_way(motions)
     groups = [_group(anatomy, bones, sampled_mm) for bones in moving_together(anatomy, samples)]
-    first = _with_contacts(groups, samples, contact_zone_mm)
-    reach, longest = CONTACT_REACH * contact_zone_mm, contact_sampled_mm
+    first = _with_contacts(groups, samples, zones_mm)
+    reach, longest = CONTACT_REACH * float(zones_mm.max(initial=0.0)), contact_sampled_mm
     finer = [_graded(g.surface, g.surface.vertices[g.contact], reach=reach, longest_mm=longest) for g in first]
     graded = [replace(group, surface=surface) for group, surface in zip(first, finer, strict=True)]
-    return _with_contacts(graded, samples, contact_zone_mm)
+    return _with_contacts(graded, samples, zones_mm)
 
 
 def _with_contacts(
-    groups: Sequence[RigidGroup], samples: Sequence[Mapping[str, RigidMotion]], zone: float
+    groups: Sequence[RigidGroup], samples: Sequence[Mapping[str, RigidMotion]], zones: Float
 ) -> tuple[RigidGroup, ...]:
     """The groups with their contact zones looked for anew."""
     contact = [np.zeros(len(group.surface.vertices), dtype=bool) for group in groups]
     for sample in samples:
         surfaces = [group.at(sample) for group in groups]
         for k, surface in enumerate(surfaces):
-            for other in (s for j, s in enumerate(surfaces) if j != k):
-                contact[k] |= _closer(surface.vertices, other, zone)
+            for j, other in enumerate(surfaces):
+                if j != k:
+                    contact[k] |= _closer(surface.vertices, other, float(zones[k, j]))
     return tuple(replace(group, contact=where) for group, where in zip(groups, contact, strict=True))
 
 
@@ -184,8 +191,12 @@ class BoneStepper:
         return False
 
     def anchors(self, start: float) -> Points:
-        """(a, 3) vertices of the contact zones, exactly on their bones at the start."""
-        return self._slipping(start)
+        """(a, 3) vertices of the contact zones, exactly on their bones at the start, and places in the gaps between.
+
+        Where a lock gives way to slip, the field is steeper between bones than on them.
+        """
+        beside = [] if self.locks is None else self._in_gaps(start)
+        return np.concatenate([self._slipping(start), *beside])
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
         """The one step."""
@@ -193,7 +204,7 @@ class BoneStepper:
         def make(tested: Points, anchors: Points) -> Step:
             here, there = self.handles.path.position(start), self.handles.path.position(end)
             targets = np.concatenate([there[: self.exact], *self._exposed(end)])
-            held = tested[-len(targets) :]
+            held, anchors = tested[-len(targets) :], anchors[: sum(int(g.contact.sum()) for g in self.groups)]
             here[: self.exact] = held[: self.exact]
             radial = self._radial(here, there)
             local = self._local(radial, held, targets, anchors, start=start, end=end)
@@ -201,7 +212,7 @@ class BoneStepper:
             base = CorrectedField(radial, local)
             if self.locks is None:
                 return CayleyStep(_exact_at(exact, moves, base))
-            field = LockedField(base, self.locks.of_step(self._stands(start), self._stands(end)), self.locks.fade)
+            field = LockedField(base, self.locks.of_step(self._stands(start), self._stands(end)))
             free = ~field.locked(exact)  # the others are carried by their bones, which are exact
             return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], base)))
 
@@ -242,7 +253,7 @@ class BoneStepper:
         _, normals = self._nearest(surfaces, places)
         middles = 0.5 * np.concatenate([held + targets, anchors + places])
         backend = SolenoidalBackend(MISSED_MM)
-        local = backend.at_rest(middles, spacings_mm=self.lattices_mm)
+        local = backend.at_rest([self._seen_by(h, middles, middles[len(held) :]) for h in self.lattices_mm])
         for number in range(1 + SLIP_PASSES):
             if number:
                 slipped = CayleyStep(CorrectedField(radial, local))(anchors)
@@ -259,6 +270,16 @@ class BoneStepper:
             local = local.plus(more)
         return local
 
+    def _seen_by(self, spacing: float, middles: Points, contacts: Points) -> tuple[float, Points]:
+        """A lattice's spacing and what it is laid around: the narrowest only around contacts, where bones are locked.
+
+        The field need not come close to the bones elsewhere then.
+        """
+        if self.locks is None or not len(contacts) or spacing > min(self.lattices_mm) or len(self.lattices_mm) == 1:
+            return spacing, middles
+        apart = cKDTree(contacts).query(middles, distance_upper_bound=NARROW_REACH * spacing)[0]
+        return spacing, middles[np.isfinite(apart)]
+
     def _surfaces(self, t: float) -> list[TriMesh]:
         motions = self.motions.at(t)
         return [group.at(motions) for group in self.groups]
@@ -266,6 +287,17 @@ class BoneStepper:
     def _slipping(self, t: float) -> Points:
         motions = self.motions.at(t)
         return np.concatenate([motions[g.bones[0]](g.surface.vertices[g.contact]) for g in self.groups])
+
+    def _in_gaps(self, t: float) -> list[Points]:
+        """Places beside the contact zones, outside the bones."""
+        assert self.locks is not None
+        beside = []
+        for group, surface, fade in zip(self.groups, self._surfaces(t), self.locks.fades, strict=True):
+            places = surface.vertices[group.contact]
+            if len(places):
+                normals = smooth_normals(surface, nearest_places(places, surface))
+                beside += [places + share * fade.apart_mm * normals for share in IN_GAPS]
+        return beside
 
     def _by_group(self, contacts: Points) -> list[Points]:
         counts = [int(group.contact.sum()) for group in self.groups]

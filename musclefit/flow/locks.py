@@ -35,8 +35,9 @@ ON_SURFACE = 0.25
 WITHIN = 2.0
 """How far within a bone distances are known, in units of the lattice's spacing."""
 
-LEVEL = SAMPLED + ON_SURFACE + 0.1
-"""What smooth distances are held to on the whole surface, in units of the lattice's spacing."""
+ZONE = 1.25
+"""How much nearer than their fading says bones must be to each other before locks give way, in units of the lattice's
+spacing: smooth distances are off by less, and so is where bones stand in the middle of a step."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,6 +53,39 @@ class Stand:
         return cls(np.asarray(motion.rotation), np.asarray(motion.translation))
 
 
+@dataclass(frozen=True, slots=True)
+class LockSettings:
+    """How one group of bones is locked.
+
+    Parameters
+    ----------
+    spacing_mm : float
+        Of the nodes of the lattice on which the distance from it is smooth.
+    fade : Fade
+
+    Raises
+    ------
+    FieldError
+        A lattice too wide for weights to fade over so short a length.
+    """
+
+    spacing_mm: float
+    fade: Fade
+
+    def __post_init__(self) -> None:
+        shortest = min(self.fade.over_mm, self.fade.apart_mm)
+        if not shortest >= self.spacing_mm > 0.0:
+            raise FieldError(
+                f"locks fade over {shortest:.3g} mm on a lattice of {self.spacing_mm:.3g} mm, which is wider; take a "
+                "narrower lattice"
+            )
+
+    @property
+    def zone_mm(self) -> float:
+        """A place of the surface that is farther than this from every other bone moves exactly with its own."""
+        return self.fade.apart_mm + ZONE * self.spacing_mm
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class BoneLocks:
     """What locks groups of bones, prepared at rest once for all steps.
@@ -60,43 +94,34 @@ class BoneLocks:
     ----------
     near : tuple of Nearness
         Of each group.
-    fade : Fade
+    fades : tuple of Fade
     """
 
     near: tuple[Nearness, ...]
-    fade: Fade
+    fades: tuple[Fade, ...]
 
     @classmethod
     def around(
-        cls, surfaces: Sequence[TriMesh], *, spacing_mm: float, fade: Fade, progress: Progress | None = None
+        cls, surfaces: Sequence[TriMesh], settings: Sequence[LockSettings], *, progress: Progress | None = None
     ) -> BoneLocks:
         """Of the groups that closed surfaces at rest bound.
 
         Parameters
         ----------
         surfaces : sequence of TriMesh
-        spacing_mm : float
-            Of the lattices' nodes.
-        fade : Fade
-
-        Raises
-        ------
-        FieldError
-            A lattice too wide for weights to fade over so short a length.
+        settings : sequence of LockSettings
+            One for each.
         """
-        shortest = min(fade.over_mm, fade.apart_mm)
-        if not shortest >= spacing_mm:
-            raise FieldError(
-                f"locks fade over {shortest:.3g} mm on a lattice of {spacing_mm:.3g} mm, which is wider; take a "
-                "narrower lattice"
-            )
+        farthest = max(setting.fade.apart_mm for setting in settings)
         found = []
         with (progress or Silent()).stage("distances around bones") as tick:
-            for surface in surfaces:
-                reach = 2.0 * LEVEL * spacing_mm + fade.over_mm + fade.apart_mm
-                found.append(nearness_of(surface, spacing_mm=spacing_mm, reach_mm=reach))
+            for surface, setting in zip(surfaces, settings, strict=True):
+                h = setting.spacing_mm
+                # Where one bone counts, others are known as far as they matter to it.
+                reach = 2.0 * ZONE * h + max(s.fade.over_mm for s in settings) + farthest
+                found.append(nearness_of(surface, spacing_mm=h, reach_mm=reach))
                 tick(len(found) / len(surfaces))
-        return cls(tuple(found), fade)
+        return cls(tuple(found), tuple(setting.fade for setting in settings))
 
     def of_step(self, before: Sequence[Stand], after: Sequence[Stand]) -> tuple[Lock, ...]:
         """The locks of a Cayley step from one stand of every group to another.
@@ -107,8 +132,8 @@ class BoneLocks:
             A group turns by about 180 degrees.
         """
         return tuple(
-            Lock.of_step(near, (a.linear, a.translation), (b.linear, b.translation))
-            for near, a, b in zip(self.near, before, after, strict=True)
+            Lock.of_step(near, fade, (a.linear, a.translation), (b.linear, b.translation))
+            for near, fade, a, b in zip(self.near, self.fades, before, after, strict=True)
         )
 
 

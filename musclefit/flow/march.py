@@ -424,7 +424,9 @@ def _trial(march: Marching, step: Step, moved: Points) -> Trial:
     other = np.r_[: own.start, end : len(moved)]
     free, held = step.trial(moved[other]), march.stepper.trial_of_held(step, moved[own])
     where = np.argsort(np.concatenate([other, np.arange(own.start, own.stop)]), kind="stable")
-    return Trial(np.concatenate([free.moved, held.moved])[where], np.concatenate([free.gradients, held.gradients])[where])
+    return Trial(
+        np.concatenate([free.moved, held.moved])[where], np.concatenate([free.gradients, held.gradients])[where]
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -92,7 +92,9 @@ def cut_at_rest(anatomy: Anatomy, *, longest_mm: float, whole: frozenset[str]) -
         for t in anatomy
     ]
     more = {t.name: len(t.surface.vertices) - len(anatomy[t.name].surface.vertices) for t in cut}
-    return CutAnatomy(Anatomy(tuple(cut), anatomy.frame), {name: number for name, number in more.items() if number}, anatomy)
+    return CutAnatomy(
+        Anatomy(tuple(cut), anatomy.frame), {name: number for name, number in more.items() if number}, anatomy
+    )
 
 
 @dataclass(slots=True)

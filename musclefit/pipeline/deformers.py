@@ -15,14 +15,13 @@ from musclefit.errors import RigError
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.kernels import KERNELS
-from musclefit.fields.locked import Fade
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone, keeping_bones, kept_bones
 from musclefit.flow.lattice import march_lattice
-from musclefit.flow.locks import BoneLocks
+from musclefit.flow.locks import BoneLocks, LockSettings
 from musclefit.flow.march import Marching, Pace, one_shot, points_beside
 from musclefit.flow.rules import rule_for
 from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
@@ -30,6 +29,7 @@ from musclefit.flow.steps import ExplicitStep
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.distances import thinned
 from musclefit.geometry.meshes import TriMesh
+from musclefit.pipeline.choices import bone_choices
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
@@ -45,20 +45,17 @@ from musclefit.rig.model import (
 )
 from musclefit.rig.section import suggestion
 
+KEPT_ZONE_MM = 4.0
+"""How close a kept bone comes to another where the field may slip along it, unless the rig says so."""
+
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
     {StepKind.EXPLICIT: explicit_step, StepKind.CAYLEY: cayley_step}
 )
 
 
-SAMPLED_MM = 3.0
-"""Longest edge of the bones' surfaces where the field is held to them..."""
-
-LOCK_SPACING_MM, LOCK_FADE = 0.8, Fade(over_mm=2.5, apart_mm=2.5)
-"""Of what locks the field to bones: spacing of the lattices that distances are smooth on, and where weights fade."""
-
 CONTACT_SAMPLED = 0.8
-"""... and in and around the contact zones, in units of the finest lattice: between coarser samples the field, which is
-steep there, would leak through the bone."""
+"""Longest edge of the bones' surfaces where the field is held to them in and around the contact zones, in units of the
+finest lattice: between coarser samples the field, which is steep there, would leak through the bone."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -142,7 +139,7 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
         At rest: the rule is tested there.
     """
     bones, settings = job.rig.bones, job.rig.deformer
-    kept = kept_bones(job.anatomy, free, limits=bone_limits(job), contact_zone_mm=bones.contact_zone_mm)
+    kept = kept_bones(job.anatomy, free, limits=bone_limits(job), contact_zone_mm=bones.contact_zone_mm or KEPT_ZONE_MM)
     held = keeping_bones(
         free,
         kept,
@@ -252,15 +249,15 @@ def _baseline_settings(job: Job) -> DeformerSettings:
 def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
     """The stepper that follows the bones."""
     assert job.motions is not None  # a rig with rigid bones says how they move
-    bones = job.rig.bones
+    bones, chosen = job.rig.bones, bone_choices(job)
     groups = rigid_groups(
         job.anatomy,
         job.motions,
-        contact_zone_mm=bones.contact_zone_mm,
-        sampled_mm=SAMPLED_MM,
-        contact_sampled_mm=CONTACT_SAMPLED * min(bones.lattices_mm),
+        zones_mm=chosen.zones_mm,
+        sampled_mm=chosen.sampled_mm,
+        contact_sampled_mm=CONTACT_SAMPLED * min(chosen.lattices_mm),
     )
-    spread = _spread_handles(job.handles, groups, spacing_mm=bones.handle_spacing_mm)
+    spread = _spread_handles(job.handles, groups, spacing_mm=chosen.handle_spacing_mm)
     path = job.path if spread is None else JoinedPath(job.path, BonePath(spread, job.motions))
     settings = job.rig.deformer
     return BoneStepper(
@@ -268,20 +265,18 @@ def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
         groups=groups,
         motions=job.motions,
         exact=len(job.handles),
-        lattices_mm=bones.lattices_mm,
+        lattices_mm=chosen.lattices_mm,
         iterations=bones.iterations,
-        locks=_locks(job.anatomy, groups, progress) if bones.lock else None,
+        locks=_locks(job.anatomy, groups, chosen.locks, progress) if bones.lock else None,
     )
 
 
-def _locks(anatomy: Anatomy, groups: Sequence[RigidGroup], progress: Progress) -> BoneLocks:
+def _locks(
+    anatomy: Anatomy, groups: Sequence[RigidGroup], settings: Sequence[LockSettings], progress: Progress
+) -> BoneLocks:
     """What locks the field to groups of bones."""
-    return BoneLocks.around(
-        [TriMesh.together([anatomy[bone].surface for bone in group.bones]) for group in groups],
-        spacing_mm=LOCK_SPACING_MM,
-        fade=LOCK_FADE,
-        progress=progress,
-    )
+    surfaces = [TriMesh.together([anatomy[bone].surface for bone in group.bones]) for group in groups]
+    return BoneLocks.around(surfaces, settings, progress=progress)
 
 
 def _spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles | None:

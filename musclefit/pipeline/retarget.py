@@ -24,8 +24,10 @@ from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mend
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.pipeline.choices import bone_choices
 from musclefit.pipeline.compared import LoopProgress, papers_loop
 from musclefit.pipeline.deformers import (
+    KEPT_ZONE_MM,
     Deformed,
     baseline_in_words,
     bone_limits,
@@ -179,7 +181,7 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
         tets=tets,
         result=finish(made, method=method_in_words(job), stage="check result"),
         baseline=_one_shot(finish),
-        findings=(*job.findings, *unknown, *kept, *of_tets),
+        findings=(*job.findings, *_chosen(job), *unknown, *kept, *of_tets),
         joint_ranges=ranges,
         paper_loop=_papers_loop(finish),
     )
@@ -364,7 +366,7 @@ class _Finisher:
         own = _own_residuals(made, motions)
         p99 = weighted_quantile(between.distances, between.areas, 0.99) if len(between.areas) else 0.0
         return BoneFieldCheck(
-            contact_zone_mm=self.job.rig.bones.contact_zone_mm,
+            contact_zone_mm=float(bone_choices(self.job).zones_mm.max()),
             exposed_vertices=len(own),
             contact_vertices=len(contact),
             residual_p99_mm=p99,
@@ -450,13 +452,18 @@ def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
 def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
     exposed, contact = kept_residuals(deformed.kept, deformed.deformation)
     return BoneFieldCheck(
-        contact_zone_mm=job.rig.bones.contact_zone_mm,
+        contact_zone_mm=job.rig.bones.contact_zone_mm or KEPT_ZONE_MM,
         exposed_vertices=len(exposed),
         contact_vertices=len(contact),
         residual_p99_mm=float(np.quantile(exposed, 0.99)) if len(exposed) else 0.0,
         residual_max_mm=float(exposed.max(initial=0.0)),
         contact_residual_max_mm=float(contact.max(initial=0.0)),
     )
+
+
+def _chosen(job: Job) -> tuple[Finding, ...]:
+    """What the rig leaves open of rigid bones."""
+    return bone_choices(job).findings if job.rig.bones.rigid else ()
 
 
 def _kept_findings(deformed: Deformed) -> tuple[Finding, ...]:

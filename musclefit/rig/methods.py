@@ -32,7 +32,9 @@ STANDS_FOR: Mapping[Method, Mapping[str, object]] = MappingProxyType(
                 "deformer.kernel": Kernel.ISOCHORIC_R3.value,
                 "deformer.step": StepKind.CAYLEY.value,
                 "deformer.path": PathKind.JOINTS.value,
+                "deformer.degrees_per_step": 12.0,
                 "bones.rigid": True,
+                "bones.lock": True,
                 "surfaces.refine": True,
             }
         ),

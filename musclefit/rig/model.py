@@ -387,6 +387,7 @@ class DeformerSettings:
 class BoneSettings:
     """Whether bones are moved by their rigid motions and the field brought to agree with them, and how.
 
+    Lengths that are None are chosen from the sizes of the bones (`musclefit.pipeline.choices`).
     ``handle_spacing_mm`` is how far apart the handles are that are spread over the bones beside the rig's landmarks.
     ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones,
     ``kept_lattices_mm`` those of the corrections that hold kept ones, wide to narrow. Places of a bone that come closer
@@ -404,11 +405,11 @@ class BoneSettings:
     """
 
     rigid: bool = False
-    handle_spacing_mm: float = 12.0
-    lattices_mm: tuple[float, ...] = (6.0, 3.0, 1.5)
-    iterations: int = 40
+    handle_spacing_mm: float | None = None
+    lattices_mm: tuple[float, ...] | None = None
+    iterations: int = 15
     kept_lattices_mm: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
-    contact_zone_mm: float = 4.0
+    contact_zone_mm: float | None = None
     lock: bool = False
     keep_rigid: tuple[str, ...] = ()
     keep_similar: tuple[str, ...] = ()
@@ -424,12 +425,12 @@ class BoneSettings:
             raise RigError("bones.lock: locks rigid bones, but bones.rigid is false; set that, or remove lock")
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
         widths = {"lattices_mm": self.lattices_mm, "kept_lattices_mm": self.kept_lattices_mm}
-        each = [(key, value) for key, values in widths.items() for value in values]
+        each = [(key, value) for key, values in widths.items() for value in values or ()]
         for key, value in (*lengths.items(), *each):
-            if not 0.0 < value < math.inf:
+            if value is not None and not 0.0 < value < math.inf:
                 raise RigError(f"bones.{key}: found {value}; expected a finite length above 0, in mm")
         for key, values in widths.items():
-            if not values or any(b > a for a, b in pairwise(values)):
+            if values is not None and (not values or any(b > a for a, b in pairwise(values))):
                 raise RigError(
                     f"bones.{key}: found {list(values)}; expected one length or more, none above the one before, in mm"
                 )
@@ -470,7 +471,7 @@ class CertificateSettings:
     """
 
     enabled: bool = True
-    max_boxes: int = 400_000
+    max_boxes: int = 6_000_000
 
     def __post_init__(self) -> None:
         _at_least_one("certificate.max_boxes", self.max_boxes)

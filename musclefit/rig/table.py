@@ -345,7 +345,7 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return _listed(section, key)
     if hint == tuple[int, ...]:
         return section.wholes(key)
-    if hint == tuple[float, ...]:
+    if hint in (tuple[float, ...], tuple[float, ...] | None):
         return section.numbers(key)
     if hint == float | None:
         return section.number(key)

@@ -10,7 +10,7 @@ from musclefit.certify.maps import certify_map
 from musclefit.errors import FieldError
 from musclefit.fields.locked import Fade, LockedField
 from musclefit.fields.rbf import RadialBackend
-from musclefit.flow.locks import BoneLocks, Stand
+from musclefit.flow.locks import BoneLocks, LockSettings, Stand
 from musclefit.flow.steps import CayleyStep
 from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
@@ -34,10 +34,10 @@ AFTER = [Stand.of(RigidMotion.identity()), Stand.of(TURN)]
 
 @pytest.fixture(scope="module")
 def locked() -> LockedField:
-    locks = BoneLocks.around([UPPER, LOWER], spacing_mm=0.8, fade=FADE).of_step(BEFORE, AFTER)
+    locks = BoneLocks.around([UPPER, LOWER], [LockSettings(0.8, FADE)] * 2).of_step(BEFORE, AFTER)
     at = np.concatenate([UPPER.vertices[::9], LOWER.vertices[::9]])
     to = np.concatenate([UPPER.vertices[::9], TURN(LOWER.vertices[::9])])
-    return LockedField(RadialBackend("isochoric-r3").fit(0.5 * (at + to), to - at), locks, FADE)
+    return LockedField(RadialBackend("isochoric-r3").fit(0.5 * (at + to), to - at), locks)
 
 
 def around(count: int = 20_000, seed: int = 3) -> np.ndarray:
@@ -115,8 +115,8 @@ def test_a_locked_step_is_certified_and_one_too_steep_is_not(locked):
 def still(surfaces: list[TriMesh], spacing: float, fade: Fade) -> LockedField:
     """Locks of bones that stay where they are."""
     stands = [Stand.of(RigidMotion.identity()) for _ in surfaces]
-    locks = BoneLocks.around(surfaces, spacing_mm=spacing, fade=fade).of_step(stands, stands)
-    return LockedField(RadialBackend("r3").fit(UPPER.vertices[::9], 0.0 * UPPER.vertices[::9]), locks, fade)
+    locks = BoneLocks.around(surfaces, [LockSettings(spacing, fade)] * len(surfaces)).of_step(stands, stands)
+    return LockedField(RadialBackend("r3").fit(UPPER.vertices[::9], 0.0 * UPPER.vertices[::9]), locks)
 
 
 def test_where_bones_touch_neither_counts_and_no_place_sees_two():
@@ -133,7 +133,7 @@ def test_where_bones_touch_neither_counts_and_no_place_sees_two():
 
 def test_a_half_turn_in_one_step_is_refused():
     half = RigidMotion.about_axis(centre=np.zeros(3), axis=np.array([0.0, 1.0, 0.0]), angle_deg=180.0)
-    locks = BoneLocks.around([UPPER], spacing_mm=0.8, fade=FADE)
+    locks = BoneLocks.around([UPPER], [LockSettings(0.8, FADE)])
     with pytest.raises(FieldError, match="180 degrees"):
         locks.of_step(BEFORE[:1], [Stand.of(half)])
 
@@ -165,7 +165,7 @@ def test_weights_are_continuous_from_cell_to_cell_however_near_bones_are(z, spac
 @pytest.mark.parametrize("surface", [BIG, UPPER, ball((0.0, 0.0, 0.0), (1.0, 9.0, 9.0))])
 def test_smooth_distances_are_no_larger_on_the_surface_than_they_say(surface, spacing):
     """Not even on bones thinner than the lattice."""
-    near = BoneLocks.around([surface], spacing_mm=spacing, fade=FADE).near[0]
+    near = BoneLocks.around([surface], [LockSettings(spacing, FADE)]).near[0]
     distances, _ = near.at(surface_samples(surface, spacing_mm=0.1).points)
     assert distances.max() <= near.surface_mm < spacing
     # a length away they tell that length, as closely as they are smooth
@@ -187,4 +187,4 @@ def test_weights_change_no_faster_than_what_they_fade_over():
 @pytest.mark.parametrize(("over", "apart"), [(0.5, 3.0), (3.0, 0.7)])
 def test_a_lattice_too_wide_for_the_lock_is_refused(over, apart):
     with pytest.raises(FieldError, match=r"take a narrower lattice"):
-        BoneLocks.around([UPPER], spacing_mm=0.8, fade=Fade(over, apart))
+        LockSettings(0.8, Fade(over, apart))

@@ -69,7 +69,7 @@ def test_a_fit_meets_what_a_field_without_divergence_does_on_a_surface():
         [np.sin(at[:, 1] / 6.0), np.cos(at[:, 2] / 7.0), 0.0 * at[:, 0]], axis=1
     )
     backend = SolenoidalBackend(1e-4)
-    rest = backend.at_rest(at, spacings_mm=(8.0, 4.0, 2.0))
+    rest = backend.at_rest([(h, at) for h in (8.0, 4.0, 2.0)])
     errors = []
     for iterations in (5, 60):
         fit = backend.fit(at, wanted, slip_normals=np.zeros((0, 3)), on=rest.levels, iterations=iterations)
@@ -89,7 +89,7 @@ def test_between_its_data_a_fit_does_what_a_smooth_field_does():
         return 0.5 * np.column_stack([np.sin(points[:, 1] / 13.2), np.cos(points[:, 0] / 12.0), 0.0 * points[:, 0]])
 
     backend = SolenoidalBackend(1e-6)
-    on = backend.at_rest(np.vstack([at, between]), spacings_mm=(12.0, 6.0, 3.0, 1.5)).levels
+    on = backend.at_rest([(h, np.vstack([at, between])) for h in (12.0, 6.0, 3.0, 1.5)]).levels
     fitted = backend.fit(at, wave(at), slip_normals=np.zeros((0, 3)), on=on, iterations=60)
     np.testing.assert_allclose(fitted.displacement(at), wave(at), rtol=0, atol=1e-4)
     np.testing.assert_allclose(fitted.displacement(between), wave(between), rtol=0, atol=0.02)
@@ -104,7 +104,7 @@ def test_at_slip_points_only_the_normal_part_is_held():
     normals = rng.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     backend = SolenoidalBackend(1e-9)
-    rest = backend.at_rest(at, spacings_mm=(6.0, 3.0))
+    rest = backend.at_rest([(h, at) for h in (6.0, 3.0)])
     field = backend.fit(at, wanted, slip_normals=normals, on=rest.levels, iterations=200)
     missed = field.displacement(at) - wanted
     np.testing.assert_allclose(missed[:80], 0.0, rtol=0, atol=1e-3)

@@ -13,7 +13,7 @@ from musclefit.fields.locked import Fade
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, contact_residuals, rigid_groups
 from musclefit.flow.deformation import Status
-from musclefit.flow.locks import BoneLocks
+from musclefit.flow.locks import BoneLocks, LockSettings
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
@@ -62,7 +62,7 @@ ANATOMY = Anatomy(
     "test",
 )
 MOTIONS = Hinge(40.0)
-GROUPS = rigid_groups(ANATOMY, MOTIONS, contact_zone_mm=4.0, sampled_mm=3.0, contact_sampled_mm=1.2)
+GROUPS = rigid_groups(ANATOMY, MOTIONS, zones_mm=np.full((2, 2), 4.0), sampled_mm=3.0, contact_sampled_mm=1.2)
 
 
 def on_the_rods() -> Handles:
@@ -74,8 +74,7 @@ def on_the_rods() -> Handles:
 
 LOCKS = BoneLocks.around(
     [TriMesh.together([ANATOMY[bone].surface for bone in group.bones]) for group in GROUPS],
-    spacing_mm=0.8,
-    fade=Fade(over_mm=2.5, apart_mm=2.5),
+    [LockSettings(0.8, Fade(over_mm=2.5, apart_mm=2.5))] * len(GROUPS),
 )
 
 

@@ -119,7 +119,9 @@ def test_a_converged_march_is_not_given_up_for_one_that_stalls() -> None:
     assert first.status is Status.CONVERGED
     riders = MarchRiders(first, Silent())
     assert riders.joined(np.array([[35.0, 60.0, 0.0]])) is None
-    moved, after = finely_carried(CutAnatomy(ANATOMY, {}, ANATOMY), riders, tolerance_mm=1e-6, whole=NONE, progress=Silent())
+    moved, after = finely_carried(
+        CutAnatomy(ANATOMY, {}, ANATOMY), riders, tolerance_mm=1e-6, whole=NONE, progress=Silent()
+    )
     assert after.deformation.steps == first.deformation.steps
     assert moved.unsolved > 0
     assert moved.undecided_edges > 0

@@ -71,9 +71,13 @@ def test_ten_lines_are_the_best_method() -> None:
         anatomy=AnatomySource(folder="knee"),
         drive=JointDrive("joints.json", (("knee", 60.0),)),
         deformer=DeformerSettings(
-            method=Method.RIGID_BONES, kernel=Kernel.ISOCHORIC_R3, step=StepKind.CAYLEY, path=PathKind.JOINTS
+            method=Method.RIGID_BONES,
+            kernel=Kernel.ISOCHORIC_R3,
+            step=StepKind.CAYLEY,
+            path=PathKind.JOINTS,
+            degrees_per_step=12.0,
         ),
-        bones=BoneSettings(rigid=True),
+        bones=BoneSettings(rigid=True, lock=True),
         surfaces=SurfaceSettings(refine=True),
     )
 

@@ -1,0 +1,160 @@
+"""What a rig leaves open of rigid bones, chosen from the sizes of the bones that meet; and why, for the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy
+from musclefit.fields.locked import Fade
+from musclefit.flow.bones import moving_together, poses_on_the_way
+from musclefit.flow.locks import ZONE, LockSettings
+from musclefit.geometry.arrays import Float
+from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.volumes import area_vectors, enclosed_volume
+from musclefit.rig.handles import BoneMotions
+from musclefit.rig.job import Job
+
+MEETING = 0.5
+"""Bones of two groups meet where they come closer than this, in units of the thickness of the thinner one."""
+
+HANDLES, LATTICES, SAMPLES = 1.25, (0.62, 0.31, 0.155), 0.5
+"""Spacing of handles, of the lattices of the part that holds bones, and of the places that it is held at, in units of
+the size of the bones that meet."""
+
+LOCK, FADE, APART = 0.1, 0.17, 0.42
+"""Spacing of the lattice of smooth distances, where locks fade, and how far apart bones must be for both to be locked,
+in units of the thickness of a group's thinnest bone that meets another, or of the typical one if that is less: a wider
+fade changes the volume of more muscle, a narrower one and bones that are locked closer to each other shear it more."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BoneChoices:
+    """All lengths that rigid bones need, given or chosen.
+
+    Parameters
+    ----------
+    groups : tuple of tuple of str
+        Bones that move as one.
+    handle_spacing_mm, sampled_mm : float
+    lattices_mm : tuple of float
+    locks : tuple of LockSettings
+        Of each group.
+    zones_mm : (K, K) float64
+        How close two groups come where each may slip along the other.
+    findings : tuple of Finding
+        What was chosen, and why.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    handle_spacing_mm: float
+    sampled_mm: float
+    lattices_mm: tuple[float, ...]
+    locks: tuple[LockSettings, ...]
+    zones_mm: Float
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BoneSizes:
+    """Thicknesses, 3 V / A, the radius of a ball and three halves of that of a long cylinder.
+
+    Parameters
+    ----------
+    groups : tuple of tuple of str
+    thinnest : tuple of tuple of (str, float)
+        Of each group the thinnest bone that meets one of another group, and its thickness, mm.
+    typical_mm : float
+        The median over all bones that meet.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    thinnest: tuple[tuple[str, float], ...]
+    typical_mm: float
+
+
+@lru_cache(maxsize=2)
+def bone_choices(job: Job) -> BoneChoices:
+    """The lengths of a job with rigid bones; what its rig gives stands.
+
+    Parameters
+    ----------
+    job : Job
+        With ``bones.rigid``.
+    """
+    assert job.motions is not None  # a rig with rigid bones says how they move
+    given, sizes = job.rig.bones, bone_sizes(job.anatomy, job.motions)
+    size, findings = sizes.typical_mm, []
+    why = f"the bones that meet are {size:.3g} mm thick (median of 3 V / A)"
+    spacing = given.handle_spacing_mm
+    if spacing is None:
+        spacing = HANDLES * size
+        findings.append(_chosen("bones.handle_spacing_mm", f"{spacing:.3g} mm", why))
+    lattices = given.lattices_mm
+    if lattices is None:
+        lattices = tuple(share * size for share in LATTICES)
+        findings.append(_chosen("bones.lattices_mm", ", ".join(f"{h:.3g}" for h in lattices) + " mm", why))
+    locks = tuple(
+        LockSettings(LOCK * width, Fade(FADE * width, APART * width))
+        for width in (min(thickness, size) for _, thickness in sizes.thinnest)
+    )
+    if given.contact_zone_mm is not None:
+        locks = tuple(_with_zone(lock, given.contact_zone_mm) for lock in locks)
+        zones = np.full((len(locks), len(locks)), given.contact_zone_mm)
+    else:
+        zones = np.array([[min(a.zone_mm, b.zone_mm) for a in locks] for b in locks])
+        findings += [
+            _chosen("bones.contact_zone_mm", f"{lock.zone_mm:.3g} mm", f"{bone} is {thickness:.3g} mm thick")
+            for lock, (bone, thickness) in zip(locks, sizes.thinnest, strict=True)
+        ]
+    return BoneChoices(sizes.groups, spacing, SAMPLES * size, lattices, locks, zones, tuple(findings))
+
+
+def bone_sizes(anatomy: Anatomy, motions: BoneMotions) -> BoneSizes:
+    """How thick the bones are that meet others, which move otherwise, somewhere on the way; all where none meet."""
+    poses = poses_on_the_way(motions)
+    groups = moving_together(anatomy, poses)
+    thick = {bone: thickness(anatomy[bone].surface) for group in groups for bone in group}
+    meeting: set[str] = set()
+    for pose in (poses[0], poses[len(poses) // 2], poses[-1]):
+        there = {
+            bone: anatomy[bone].surface.with_vertices(pose[bone](anatomy[bone].surface.vertices)) for bone in thick
+        }
+        for k, group in enumerate(groups):
+            others = [bone for j, other in enumerate(groups) if j != k for bone in other]
+            meeting |= {
+                a for a in group if a not in meeting and any(_meet(there[a], there[b], thick, a, b) for b in others)
+            }
+    counted = meeting or set(thick)
+    thinnest = []
+    for group in groups:
+        bone = min((b for b in group if b in counted), key=thick.__getitem__, default=min(group, key=thick.__getitem__))
+        thinnest.append((bone, thick[bone]))
+    return BoneSizes(groups, tuple(thinnest), float(np.median([thick[bone] for bone in counted])))
+
+
+def thickness(surface: TriMesh) -> float:
+    """3 V / A of a closed surface, mm."""
+    return 3.0 * abs(enclosed_volume(surface)) / float(np.linalg.norm(area_vectors(surface), axis=1).sum())
+
+
+def _meet(a: TriMesh, b: TriMesh, thick: dict[str, float], name: str, other: str) -> bool:
+    near = MEETING * min(thick[name], thick[other])
+    low, high = b.vertices.min(axis=0) - near, b.vertices.max(axis=0) + near
+    inside = a.vertices[((a.vertices > low) & (a.vertices < high)).all(axis=1)]
+    return len(inside) > 0 and float(nearest_places(inside, b).distances.min()) < near
+
+
+def _with_zone(lock: LockSettings, zone: float) -> LockSettings:
+    """With a zone of a given width, and a lattice that is narrow enough for it."""
+    spacing = min(lock.spacing_mm, zone / (2.0 + ZONE))
+    apart = zone - ZONE * spacing
+    return LockSettings(spacing, Fade(max(min(lock.fade.over_mm, apart), spacing), apart))
+
+
+def _chosen(key: str, value: str, why: str) -> Finding:
+    return Finding(key, "chosen-setting", f"{key}: {value}, because {why}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -14,6 +14,22 @@ SLACK = 1.0 + 1e-12
 
 ROUNDING = 1e-9
 """What it may add to a value: they are millimetres, or numbers from 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Turn:
+    """A part of how far gradients get from that at the centre, along known directions.
+
+    Parameters
+    ----------
+    along : (B, 3) float64
+        Unit vectors, or zero.
+    most : (B,) float64
+        The part is no more than this times ``along``, either way.
+    """
+
+    along: Points
+    most: Float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -30,8 +46,9 @@ class Jets:
         No value of the box is outside.
     steep : (B,) float64
         No gradient of the box is longer.
-    off : (B,) float64
-        None is farther from ``slope``.
+    loose : (B,) float64
+        No gradient is farther from ``slope`` than this, beside the turns.
+    turns : tuple of Turn
     """
 
     value: Float
@@ -39,61 +56,102 @@ class Jets:
     low: Float
     high: Float
     steep: Float
-    off: Float
+    loose: Float
+    turns: tuple[Turn, ...] = ()
+
+    @property
+    def off(self) -> Float:
+        """(B,) how far gradients get from that at the centre, in length."""
+        total = self.loose
+        for turn in self.turns:
+            total = total + turn.most
+        return total
+
+    def sheared(self, vectors: Points, slack: Float) -> Float:
+        r"""(B,) how far the strain of :math:`v \otimes \nabla f` gets from that at the centre, v constant.
+
+        The strain of v along a direction n has the eigenvalues (v n ± |v|) / 2 for a unit n.
+
+        Parameters
+        ----------
+        vectors : (B, 3) float64
+            v
+        slack : (B,) float64
+            How far they may be off.
+        """
+        length = np.linalg.norm(vectors, axis=1) * SLACK
+        total = (length + slack) * self.loose
+        for turn in self.turns:
+            with_it = np.abs(np.einsum("bi,bi->b", vectors, turn.along))
+            total = total + (0.5 * (length + with_it) * SLACK + slack) * turn.most
+        return total
 
     def widened(self, by: float) -> Self:
         """With values known to a length only."""
-        return type(self)(self.value, self.slope, self.low - by, self.high + by, self.steep, self.off)
+        return replace(self, low=self.low - by, high=self.high + by)
 
-    def within(self, reach: Float) -> Jets:
+    def within(self, reach: Float) -> Self:
         """With values as near to the centre's as their slopes say; no place is farther than ``reach`` (B,) from it."""
         length = np.minimum(self.steep, np.linalg.norm(self.slope, axis=1) + self.off)
         around = np.where(np.isfinite(length), length * reach, np.inf) * SLACK + ROUNDING
-        low, high = np.maximum(self.low, self.value - around), np.minimum(self.high, self.value + around)
-        return Jets(self.value, self.slope, low, high, self.steep, self.off)
+        return replace(
+            self, low=np.maximum(self.low, self.value - around), high=np.minimum(self.high, self.value + around)
+        )
 
     def varied(self) -> Float:
         """(B,) how far values get from that at the centre."""
         return np.maximum(self.high - self.value, self.value - self.low)
 
     def minus(self, other: Jets, reach: Float) -> Jets:
-        """The difference; no place of a box is farther than ``reach`` (B,) from its centre."""
+        """The difference of two without turns; no place of a box is farther than ``reach`` (B,) from its centre."""
         value, slope = self.value - other.value, self.slope - other.slope
-        off = (self.off + other.off) * SLACK
-        steep = np.minimum(self.steep + other.steep, np.linalg.norm(slope, axis=1) + off) * SLACK
-        return Jets(value, slope, self.low - other.high, self.high - other.low, steep, off).within(reach)
+        loose = (self.loose + other.loose) * SLACK
+        steep = np.minimum(self.steep + other.steep, np.linalg.norm(slope, axis=1) + loose) * SLACK
+        return Jets(value, slope, self.low - other.high, self.high - other.low, steep, loose).within(reach)
 
     def risen(self, start: float, over: float) -> Jets:
-        """A smooth step of it: 0 up to ``start``, 1 from ``over`` more on, level at both ends: 3 t² - 2 t³."""
+        """A smooth step of one that has no turns: 0 up to ``start``, 1 from ``over`` more on, level at both ends."""
         t, first, last = (np.clip((v - start) / over, 0.0, 1.0) for v in (self.value, self.low, self.high))
         rate, rates = _rate(t), np.stack([_rate(first), _rate(last)])
         top = np.where((first < 0.5) & (last > 0.5), 1.5, rates.max(axis=0))
         rises: Bool = (last > 0.0) & (first < 1.0)
         apart = np.maximum(top - rate, rate - rates.min(axis=0))
         steep = np.where(rises, top * self.steep / over, 0.0)
-        length = np.minimum(np.linalg.norm(self.slope, axis=1), self.steep)
-        off = np.where(rises, (top * self.off + apart * length) / over, 0.0)
-        slope = (rate / over)[:, None] * self.slope
-        return Jets(_step(t), slope, _step(first), _step(last), steep * SLACK, off * SLACK)
+        length = np.linalg.norm(self.slope, axis=1)
+        along = self.slope / np.where(length > 0.0, length, 1.0)[:, None]
+        turn = Turn(along, np.where(rises, apart * length / over, 0.0) * SLACK)
+        loose = np.where(rises, top * self.loose / over, 0.0) * SLACK
+        return Jets(
+            _step(t), (rate / over)[:, None] * self.slope, _step(first), _step(last), steep * SLACK, loose, (turn,)
+        )
 
     def complement(self) -> Jets:
         """What it leaves of 1."""
-        return Jets(1.0 - self.value, -self.slope, 1.0 - self.high, 1.0 - self.low, self.steep, self.off)
+        return replace(self, value=1.0 - self.value, slope=-self.slope, low=1.0 - self.high, high=1.0 - self.low)
 
     def times(self, other: Jets) -> Jets:
-        """The product of two that are not negative."""
+        """The product of two that are not negative.
+
+        With f and g at the centre as f0 and g0, its gradient is off by (f - f0) g0' + f (g' - g0') and the same with
+        both exchanged.
+        """
         steep = self.high * other.steep + other.high * self.steep
-        off = self.varied() * other.steep + self.value * other.off
-        off += other.varied() * self.steep + other.value * self.off
         slope = self.value[:, None] * other.slope + other.value[:, None] * self.slope
-        off = np.minimum(off, steep + np.linalg.norm(slope, axis=1))
+        turns, loose = [], np.zeros_like(self.value)
+        for one, two in ((self, other), (other, self)):
+            loose = loose + one.high * two.loose
+            turns += [Turn(turn.along, one.high * turn.most * SLACK) for turn in two.turns]
+            length = np.linalg.norm(two.slope, axis=1)
+            along = two.slope / np.where(length > 0.0, length, 1.0)[:, None]
+            turns.append(Turn(along, one.varied() * length * SLACK))
         low, high = self.low * other.low, self.high * other.high
-        return Jets(self.value * other.value, slope, low, high, steep * SLACK, off * SLACK)
+        return Jets(self.value * other.value, slope, low, high, steep * SLACK, loose * SLACK, tuple(turns))
 
     def only(self, kept: Int) -> Jets:
         """Of some boxes."""
-        parts = (self.value, self.slope, self.low, self.high, self.steep, self.off)
-        return Jets(*(part[kept] for part in parts))
+        turns = tuple(Turn(turn.along[kept], turn.most[kept]) for turn in self.turns)
+        parts = (self.value, self.slope, self.low, self.high, self.steep, self.loose)
+        return Jets(*(part[kept] for part in parts), turns)
 
 
 def _step(t: Float) -> Float:

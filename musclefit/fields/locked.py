@@ -285,7 +285,7 @@ class LockedField:
         if mixed.size:
             part = boxes.only(mixed)
             bare = self._bare(part)
-            gradients, radii = self._enclosed(part, bare)
+            gradients, radii = self._enclosed(part, bare, strain=True)
             values = np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1)))[:, [0, -1]]
             off = radii + ROUNDING * np.abs(gradients).sum(axis=(1, 2))
             first = np.stack([values[:, 0] - off, values[:, 1] + off], axis=1)
@@ -384,8 +384,8 @@ class LockedField:
             rounding[touched] = off.max(axis=1, initial=0.0)
         return _Bare(steep, spread, values, rounding)
 
-    def _enclosed(self, boxes: _Boxes, bare: _Bare) -> tuple[Gradients, Float]:
-        """Gradients at the centres of boxes, and how far they get from them.
+    def _enclosed(self, boxes: _Boxes, bare: _Bare, *, strain: bool = False) -> tuple[Gradients, Float]:
+        """Gradients at the centres of boxes, and how far they get from them, or how far only their strain gets.
 
         With c the centre, e = A_k - B and D' the gradient of the field, D' - D'(c) is the sum of (1 - W)(B' - B'(c)),
         (w_k - w_k(c))(A_k' - B'(c)), (e - e(c)) w_k' and e(c)(w_k' - w_k'(c)) over all k, W the sum of all w_k.
@@ -406,7 +406,8 @@ class LockedField:
                 total += jets.value[:, None, None] * turned + apart[:, :, None] * jets.slope[:, None, :]
                 length = np.linalg.norm(apart, axis=1) + found.rounding
                 varied = np.minimum(jets.varied(), jets.steep * reach + 1e-14)
-                off += varied * size + _times((size + wide) * reach, jets.steep) + length * jets.off
+                turned_by = jets.sheared(apart, found.rounding) if strain else length * jets.off
+                off += varied * size + _times((size + wide) * reach, jets.steep) + turned_by
                 scale = np.abs(part.centres).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
                 off += _times(found.rounding + ROUNDING * scale, jets.steep)
                 off += ROUNDING * (size + length * jets.steep)

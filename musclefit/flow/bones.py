@@ -50,7 +50,7 @@ PATH_SAMPLES = 9
 NARROW_REACH = 4.0
 """How far around contacts the narrowest lattice reaches where bones are locked, in units of its spacing."""
 
-IN_GAPS = (0.25, 0.5)
+IN_GAPS = (0.1, 0.3, 0.5)
 """Where the rule is tested beside contact zones, in units of how far apart bones must be for both to be locked."""
 
 SAME_MOTION = 1e-9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -22,9 +23,13 @@ from musclefit.rig.job import Job
 MEETING = 0.5
 """Bones of two groups meet where they come closer than this, in units of the thickness of the thinner one."""
 
-HANDLES, LATTICES, SAMPLES = 1.25, (0.62, 0.31, 0.155), 0.5
-"""Spacing of handles, of the lattices of the part that holds bones, and of the places that it is held at, in units of
-the size of the bones that meet."""
+HANDLES, NARROWEST, SAMPLES = 1.25, 0.155, 0.5
+"""Spacing of handles, of the narrowest lattice of the part that holds bones, and of the places that it is held at, in
+units of the size of the bones that meet."""
+
+WIDER = (4.0, 2.0, 1.0)
+"""Spacings of its lattices in units of the narrowest: by powers of two, so that lattices share their knots, at which a
+proof cuts its boxes. They are shared to the last digit where no multiple of the narrowest is rounded."""
 
 LOCK, FADE, APART = 0.1, 0.17, 0.42
 """Spacing of the lattice of smooth distances, where locks fade, and how far apart bones must be for both to be locked,
@@ -96,7 +101,8 @@ def bone_choices(job: Job) -> BoneChoices:
         findings.append(_chosen("bones.handle_spacing_mm", f"{spacing:.3g} mm", why))
     lattices = given.lattices_mm
     if lattices is None:
-        lattices = tuple(share * size for share in LATTICES)
+        narrowest = _of_few_digits(NARROWEST * size)
+        lattices = tuple(times * narrowest for times in WIDER)
         findings.append(_chosen("bones.lattices_mm", ", ".join(f"{h:.3g}" for h in lattices) + " mm", why))
     locks = tuple(
         LockSettings(LOCK * width, Fade(FADE * width, APART * width))
@@ -154,6 +160,12 @@ def _with_zone(lock: LockSettings, zone: float) -> LockSettings:
     spacing = min(lock.spacing_mm, zone / (2.0 + ZONE))
     apart = zone - ZONE * spacing
     return LockSettings(spacing, Fade(max(min(lock.fade.over_mm, apart), spacing), apart))
+
+
+def _of_few_digits(length: float) -> float:
+    """A length near another whose multiples are exact numbers: of ten binary digits."""
+    mantissa, exponent = math.frexp(length)
+    return math.ldexp(round(mantissa * 1024.0), exponent - 10)
 
 
 def _chosen(key: str, value: str, why: str) -> Finding:

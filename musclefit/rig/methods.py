@@ -158,6 +158,8 @@ def _applies(table: Mapping[str, Any], key: str, method: Method) -> bool:
         return _get(table, "deformer.backend") in (None, BackendKind.RBF.value)
     if key == "deformer.path" and method is Method.RIGID_BONES:
         return bool(_get(table, "drive.kind") == "joints")
+    if key in ("bones.lock", "deformer.degrees_per_step"):
+        return _get(table, "bones.rigid") is not False
     return True
 
 

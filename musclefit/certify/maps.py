@@ -58,7 +58,7 @@ from musclefit.validate.model import MapClaim
 MAX_BOXES = 400_000
 """Boxes that a certificate may examine, over all steps."""
 
-MARGIN_SHARE = 0.25
+MARGIN_SHARE = 0.5
 """A certified margin is at least this share of the sampled one, where the budget lasts."""
 
 SHELLS = (40, 160)

@@ -80,7 +80,7 @@ class Jets:
             How far they may be off.
         """
         length = np.linalg.norm(vectors, axis=1) * SLACK
-        total = (length + slack) * self.loose
+        total: Float = (length + slack) * self.loose
         for turn in self.turns:
             with_it = np.abs(np.einsum("bi,bi->b", vectors, turn.along))
             total = total + (0.5 * (length + with_it) * SLACK + slack) * turn.most
@@ -150,8 +150,15 @@ class Jets:
     def only(self, kept: Int) -> Jets:
         """Of some boxes."""
         turns = tuple(Turn(turn.along[kept], turn.most[kept]) for turn in self.turns)
-        parts = (self.value, self.slope, self.low, self.high, self.steep, self.loose)
-        return Jets(*(part[kept] for part in parts), turns)
+        return Jets(
+            self.value[kept],
+            self.slope[kept],
+            self.low[kept],
+            self.high[kept],
+            self.steep[kept],
+            self.loose[kept],
+            turns,
+        )
 
 
 def _step(t: Float) -> Float:

@@ -23,9 +23,9 @@ from musclefit.rig.job import Job
 MEETING = 0.5
 """Bones of two groups meet where they come closer than this, in units of the thickness of the thinner one."""
 
-HANDLES, NARROWEST, SAMPLES = 1.25, 0.155, 0.5
-"""Spacing of handles, of the narrowest lattice of the part that holds bones, and of the places that it is held at, in
-units of the size of the bones that meet."""
+HANDLES, NARROWEST, SAMPLES, LOCKED_SAMPLES = 1.25, 0.155, 0.31, 0.5
+"""Spacing of handles, of the narrowest lattice of the part that holds bones, and of the places that it is held at,
+without locks and with them, in units of the size of the bones that meet."""
 
 WIDER = (4.0, 2.0, 1.0)
 """Spacings of its lattices in units of the narrowest: by powers of two, so that lattices share their knots, at which a
@@ -117,7 +117,8 @@ def bone_choices(job: Job) -> BoneChoices:
             _chosen("bones.contact_zone_mm", f"{lock.zone_mm:.3g} mm", f"{bone} is {thickness:.3g} mm thick")
             for lock, (bone, thickness) in zip(locks, sizes.thinnest, strict=True)
         ]
-    return BoneChoices(sizes.groups, spacing, SAMPLES * size, lattices, locks, zones, tuple(findings))
+    samples = (LOCKED_SAMPLES if given.lock else SAMPLES) * size
+    return BoneChoices(sizes.groups, spacing, samples, lattices, locks, zones, tuple(findings))
 
 
 def bone_sizes(anatomy: Anatomy, motions: BoneMotions) -> BoneSizes:

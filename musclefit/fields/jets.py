@@ -86,9 +86,9 @@ class Jets:
             total = total + (0.5 * (length + with_it) * SLACK + slack) * turn.most
         return total
 
-    def widened(self, by: float) -> Self:
-        """With values known to a length only."""
-        return replace(self, low=self.low - by, high=self.high + by)
+    def widened(self) -> Self:
+        """With values as computed, which rounding has put off."""
+        return replace(self, low=self.low - ROUNDING, high=self.high + ROUNDING)
 
     def within(self, reach: Float) -> Self:
         """With values as near to the centre's as their slopes say; no place is farther than ``reach`` (B,) from it."""

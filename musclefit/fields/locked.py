@@ -24,9 +24,6 @@ from musclefit.fields.jets import Jets
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
-ROUNDING_MM = 1e-9
-"""Of computed distances, beyond what their enclosures count."""
-
 ROUNDING = 1e-13
 """Of computed gradients and eigenvalues, in units of the sizes that they are made of."""
 
@@ -195,7 +192,7 @@ class Lock:
         jets = Jets(
             *self.distances(centres), ranges[:, 0], ranges[:, 1], stretch * ranges[:, 2], stretch * ranges[:, 3]
         )
-        return jets.within(np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)).widened(ROUNDING_MM)
+        return jets.within(np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)).widened()
 
     def scaled(self, factor: float) -> Self:
         """With a displacement ``factor`` times as large."""

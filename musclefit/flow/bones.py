@@ -170,7 +170,7 @@ class BoneStepper:
         Of the first fit of the local part, from nothing.
     locks : BoneLocks or None
         Of the groups, in their order: on the bones' surfaces and around them the field of every step is then their
-        rigid motion, so that they are where they belong after every stretch, and each stretch starts from there.
+        rigid motion. The held points go where the field would take them without locks (`trial_of_held`).
     """
 
     handles: HandleStepper
@@ -291,13 +291,10 @@ class BoneStepper:
     def _in_gaps(self, t: float) -> list[Points]:
         """Places beside the contact zones, outside the bones."""
         assert self.locks is not None
-        beside = []
-        for group, surface, fade in zip(self.groups, self._surfaces(t), self.locks.fades, strict=True):
-            places = surface.vertices[group.contact]
-            if len(places):
-                normals = smooth_normals(surface, nearest_places(places, surface))
-                beside += [places + share * fade.apart_mm * normals for share in IN_GAPS]
-        return beside
+        places = self._slipping(t)
+        _, normals = self._nearest(self._surfaces(t), places)
+        apart = np.repeat([fade.apart_mm for fade in self.locks.fades], [int(g.contact.sum()) for g in self.groups])
+        return [places + (share * apart)[:, None] * normals for share in IN_GAPS]
 
     def _by_group(self, contacts: Points) -> list[Points]:
         counts = [int(group.contact.sum()) for group in self.groups]

@@ -8,9 +8,8 @@ up to which weights are whole.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import igl
 import numpy as np
 from numba import njit
 
@@ -24,6 +23,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.solids import pieces
 from musclefit.geometry.surface_samples import surface_samples
+from musclefit.geometry.winding import winding_numbers
 from musclefit.progress import Progress, Silent
 
 SAMPLED = 0.4
@@ -182,10 +182,7 @@ def _signed_distances(points: Points, surface: TriMesh) -> Float:
     for part in pieces(surface):
         near = np.flatnonzero(((points > part.vertices.min(axis=0)) & (points < part.vertices.max(axis=0))).all(axis=1))
         if near.size:
-            turns = igl.fast_winding_number(
-                np.array(part.vertices), np.array(part.faces, dtype=np.int64), np.ascontiguousarray(points[near])
-            )
-            within = near[np.asarray(turns).reshape(-1) > 0.5]
+            within = near[winding_numbers(part, points[near]) > 0.5]
             found[within] = -np.abs(found[within])
     return found
 
@@ -196,15 +193,14 @@ def _packed(of: Nearness) -> Nearness:
     kept = ~(nothing | whole)
     rows = np.where(nothing, NOTHING, np.where(whole, WHOLE, np.cumsum(kept) - 1)).astype(np.int32)
     bricks = np.where(of.bricks >= 0, rows[np.maximum(of.bricks, 0)], of.bricks)
-    return Nearness(of.low, of.spacing_mm, bricks, of.values[kept], of.reach_mm, of.depth_mm, of.surface_mm)
+    return replace(of, bricks=bricks, values=of.values[kept])
 
 
 def _held(of: Nearness, samples: Points, gap: float) -> Nearness:
     """With the largest distance on the surface that is proved from samples of it and the gap between them."""
     distances, _ = of.at(samples)
     steep = of.ranges(samples, np.full_like(samples, gap))[:, 2]
-    surface = float((distances + steep * gap).max()) + 1e-6
-    return Nearness(of.low, of.spacing_mm, of.bricks, of.values, of.reach_mm, of.depth_mm, surface)
+    return replace(of, surface_mm=float((distances + steep * gap).max()) + 1e-6)
 
 
 @njit(cache=True)

@@ -418,14 +418,14 @@ def _try(march: Marching, *, start: float, end: float) -> _Success | _Failure:
 
 
 def _trial(march: Marching, step: Step, moved: Points) -> Trial:
-    """A step tried on the tested points and on the anchors behind them; the stepper moves its own."""
+    """A step tried on the tested points and the anchors behind them; the stepper moves its own, which are between."""
     end = len(march.moved)
-    own = slice(end - march.held, end)
-    other = np.r_[: own.start, end : len(moved)]
-    free, held = step.trial(moved[other]), march.stepper.trial_of_held(step, moved[own])
-    where = np.argsort(np.concatenate([other, np.arange(own.start, own.stop)]), kind="stable")
+    start = end - march.held
+    free = step.trial(np.concatenate([moved[:start], moved[end:]]))
+    held = march.stepper.trial_of_held(step, moved[start:end])
     return Trial(
-        np.concatenate([free.moved, held.moved])[where], np.concatenate([free.gradients, held.gradients])[where]
+        np.concatenate([free.moved[:start], held.moved, free.moved[start:]]),
+        np.concatenate([free.gradients[:start], held.gradients, free.gradients[start:]]),
     )
 
 

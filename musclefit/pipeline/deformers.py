@@ -139,7 +139,7 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
         At rest: the rule is tested there.
     """
     bones, settings = job.rig.bones, job.rig.deformer
-    kept = kept_bones(job.anatomy, free, limits=bone_limits(job), contact_zone_mm=bones.contact_zone_mm or KEPT_ZONE_MM)
+    kept = kept_bones(job.anatomy, free, limits=bone_limits(job), contact_zone_mm=kept_zone_mm(job))
     held = keeping_bones(
         free,
         kept,
@@ -150,6 +150,12 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
         progress=progress,
     )
     return Deformed(held, (), kept)
+
+
+def kept_zone_mm(job: Job) -> float:
+    """How close a kept bone comes to another where the field may slip along it."""
+    given = job.rig.bones.contact_zone_mm
+    return KEPT_ZONE_MM if given is None else given
 
 
 def least_steps(job: Job) -> int:

@@ -27,11 +27,11 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.choices import bone_choices
 from musclefit.pipeline.compared import LoopProgress, papers_loop
 from musclefit.pipeline.deformers import (
-    KEPT_ZONE_MM,
     Deformed,
     baseline_in_words,
     bone_limits,
     deform_in_one_shot,
+    kept_zone_mm,
     method_in_words,
     rule_in_words,
 )
@@ -179,7 +179,7 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     made = deform_finely(job, progress=progress)
     finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress, shared)
     of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
-    kept = (*_kept_findings(made.deformed), *_sliver_findings(made))
+    kept = _kept_findings(made.deformed)
     return Retargeting(
         job=job,
         tets=tets,
@@ -457,7 +457,7 @@ def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
 def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
     exposed, contact = kept_residuals(deformed.kept, deformed.deformation)
     return BoneFieldCheck(
-        contact_zone_mm=job.rig.bones.contact_zone_mm or KEPT_ZONE_MM,
+        contact_zone_mm=kept_zone_mm(job),
         exposed_vertices=len(exposed),
         contact_vertices=len(contact),
         residual_p99_mm=float(np.quantile(exposed, 0.99)) if len(exposed) else 0.0,
@@ -469,17 +469,6 @@ def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
 def _chosen(job: Job) -> tuple[Finding, ...]:
     """What the rig leaves open of rigid bones."""
     return bone_choices(job).findings if job.rig.bones.rigid else ()
-
-
-def _sliver_findings(made: Made) -> tuple[Finding, ...]:
-    """What still crosses after refinement; the overlap check says whether it is more than slivers."""
-    left = made.carried.crossings_left
-    if not left:
-        return ()
-    said = (
-        f"{left} pairs of triangles come to cross each other in tissues that do not at rest; cutting them leaves more"
-    )
-    return (Finding("surfaces", "crossings-left", said),)
 
 
 def _kept_findings(deformed: Deformed) -> tuple[Finding, ...]:

@@ -10,11 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.arrays import Int
 from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import (
@@ -35,10 +32,6 @@ WHOLE_RELATIVE = 1e-9
 """A part is the whole of a tissue when its volume falls short by at most this fraction."""
 
 Pair = tuple[str, str]
-
-SLIVER_MM = 0.02
-"""Triangles that cross over no longer stretch than this are slivers: deformed surfaces, whose chords may be as far off
-the map, are no better known."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -310,31 +303,21 @@ def _volumes(
 def _newly_crossing(
     before: SolidAnatomy, after: SolidAnatomy, names: Sequence[str], *, progress: Progress
 ) -> tuple[NotChecked, ...]:
-    """Tissues whose surface crosses itself deformed, but not at rest, by more than slivers."""
+    """Tissues whose surface crosses itself deformed, but not at rest."""
     found = []
     with progress.stage("tissues that cross themselves") as tick:
         for number, name in enumerate(names):
-            surface = after.anatomy[name].surface
-            pairs = self_crossings(surface).pairs
-            longest = _shared_stretch(surface, pairs)
-            if longest > SLIVER_MM and not len(self_crossings(before.anatomy[name].surface)):
+            count = len(self_crossings(after.anatomy[name].surface))
+            if count and not len(self_crossings(before.anatomy[name].surface)):
                 found.append(
                     NotChecked(
                         name,
-                        f"deformed: crosses itself at {len(pairs)} pairs of triangles, over up to {longest:.2g} mm, "
-                        "and did not at rest; where it is inside out its overlaps count negative and may cancel",
+                        f"deformed: crosses itself at {count} pairs of triangles, and did not at rest; where it is "
+                        "inside out its overlaps count negative and may cancel",
                     )
                 )
             tick((number + 1) / len(names))
     return tuple(found)
-
-
-def _shared_stretch(surface: TriMesh, pairs: Int) -> float:
-    """The largest diagonal, mm, of what the boxes of two crossing triangles share: no crossing is longer."""
-    corners = surface.corners()
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    shared = np.minimum(high[pairs[:, 0]], high[pairs[:, 1]]) - np.maximum(low[pairs[:, 0]], low[pairs[:, 1]])
-    return float(np.linalg.norm(shared, axis=1).max(initial=0.0))
 
 
 def _solid(anatomy: Anatomy | SolidAnatomy, progress: Progress) -> SolidAnatomy:

@@ -52,8 +52,14 @@ app = App(
 
 Quiet = Annotated[bool, Parameter(name="--quiet", help="Print nothing but errors.")]
 Json = Annotated[bool, Parameter(name="--json", help="Print report.json instead of a summary.")]
-NoTets = Annotated[
-    bool, Parameter(name="--no-tets", help="Make no tetrahedra: quicker, and no check for inverted ones.")
+Tets = Annotated[
+    bool | None,
+    Parameter(
+        name="--tets",
+        negative="--no-tets",
+        help="Make tetrahedra of all tissues together and prove the deformed mesh, which takes long; or make none, "
+        "whatever the rig says.",
+    ),
 ]
 
 
@@ -64,12 +70,12 @@ def demo(
         Path,
         Parameter(name="--out", help="Folder for the results; a former run there is replaced.", show_default=True),
     ] = Path("musclefit-out/demo"),
-    no_tets: NoTets = False,
+    tets: Tets = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
     """Bend the built-in upper limb to elbow 75 degrees, forearm 70 degrees, and prove what was done."""
-    return _run(find_rig(DEMO_RIG), (), out=out, no_tets=no_tets, quiet=quiet, json=json)
+    return _run(find_rig(DEMO_RIG), _with_tets((), tets), out=out, quiet=quiet, json=json)
 
 
 @app.command(sort_key=2)
@@ -113,7 +119,7 @@ def run(
             name="--intermediate", help="Write the surfaces after each step of the way too, to intermediate/01, ..."
         ),
     ] = False,
-    no_tets: NoTets = False,
+    tets: Tets = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -123,11 +129,10 @@ def run(
     folder = out if out is not None else Path("musclefit-out") / path.stem
     return _run(
         path,
-        overrides,
+        _with_tets(overrides, tets),
         out=folder,
         points=points,
         intermediate=intermediate,
-        no_tets=no_tets,
         quiet=quiet,
         json=json,
     )
@@ -237,7 +242,6 @@ def _run(
     out: Path,
     points: Sequence[Path] = (),
     intermediate: bool = False,
-    no_tets: bool,
     quiet: bool,
     json: bool,
 ) -> int:
@@ -254,10 +258,10 @@ def _run(
         from musclefit.io.tet_cache import CACHE_FINDING
         from musclefit.pipeline.retarget import retarget
 
-        plan = None if no_tets else planned_tets(job)
+        plan = planned_tets(job)
         if plan is not None:
             stages.say(plan.in_words)
-        tets = None if no_tets else prepared_tets(job, progress=stages)
+        tets = prepared_tets(job, progress=stages)
         for finding in tets.findings if tets is not None else ():
             if finding.code == CACHE_FINDING:
                 stages.say(finding.message)
@@ -268,6 +272,11 @@ def _run(
     elif not quiet:
         print_run(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
+
+
+def _with_tets(overrides: Sequence[str], tets: bool | None) -> tuple[str, ...]:
+    """What is set over a rig, with what the command line says of tetrahedra."""
+    return (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
 
 
 def _written(folder: Path) -> Any:

@@ -37,53 +37,66 @@ def _spline(t, w, d):
     d[0], d[1], d[2] = t - 0.5, -2.0 * t, t + 0.5
 
 
+@njit(cache=True)
+def _sum_at(low, h, bricks, values, x, y, z, w, d):
+    """The sum at one place and its gradient, per mm."""
+    i, j, k = (x - low[0]) / h, (y - low[1]) / h, (z - low[2]) / h
+    if not (
+        -0.5 <= i < bricks.shape[0] * SIDE - 0.5
+        and -0.5 <= j < bricks.shape[1] * SIDE - 0.5
+        and -0.5 <= k < bricks.shape[2] * SIDE - 0.5
+    ):
+        return 0.0, 0.0, 0.0, 0.0
+    a, b, c = int(np.floor(i + 0.5)), int(np.floor(j + 0.5)), int(np.floor(k + 0.5))
+    row = bricks[a // SIDE, b // SIDE, c // SIDE]
+    if row == -1:
+        return 0.0, 0.0, 0.0, 0.0
+    if row == -2:
+        return 1.0, 0.0, 0.0, 0.0
+    _spline(i - a, w[0], d[0])
+    _spline(j - b, w[1], d[1])
+    _spline(k - c, w[2], d[2])
+    a, b, c = a % SIDE, b % SIDE, c % SIDE
+    least, most = 65535, 0
+    total, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
+    for p in range(3):
+        for q in range(3):
+            start = ((a + p) * ACROSS + b + q) * ACROSS + c
+            v0, v1, v2 = values[row, start], values[row, start + 1], values[row, start + 2]
+            least = min(least, v0, v1, v2)
+            most = max(most, v0, v1, v2)
+            along = w[2, 0] * v0 + w[2, 1] * v1 + w[2, 2] * v2
+            total += w[0, p] * w[1, q] * along
+            gx += d[0, p] * w[1, q] * along
+            gy += w[0, p] * d[1, q] * along
+            gz += w[0, p] * w[1, q] * (d[2, 0] * v0 + d[2, 1] * v1 + d[2, 2] * v2)
+    if least == 65535:
+        return 1.0, 0.0, 0.0, 0.0
+    if most == 0:
+        return 0.0, 0.0, 0.0, 0.0
+    per = 65535.0 * h
+    return min(total / 65535.0, 1.0), gx / per, gy / per, gz / per
+
+
 @njit(parallel=True, cache=True)
-def values_at(low, h, bricks, values, points, sums, gradients):
-    """Write sums (N,) and their gradients (N, 3), per mm, at points (N, 3)."""
+def moved_values_at(low, h, bricks, values, turn, shift, points, sums, gradients):
+    """Write sums (N,) and their gradients (N, 3), per mm, at points (N, 3) that stand for turn x + shift.
+
+    ``turn`` (3, 3) and ``shift`` (3,) take a point to the lattice's frame; gradients are by the point as given.
+    """
     n = points.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
-        w, d, node, brick = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, np.int64), np.zeros(3, np.int64)
+        w, d = np.zeros((3, 3)), np.zeros((3, 3))
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            sums[p] = 0.0
-            gradients[p, 0] = gradients[p, 1] = gradients[p, 2] = 0.0
-            within = True
-            for axis in range(3):
-                u = (points[p, axis] - low[axis]) / h
-                if not (-0.5 <= u < bricks.shape[axis] * SIDE - 0.5):
-                    within = False
-                    break
-                node[axis] = int(np.floor(u + 0.5))
-                brick[axis] = node[axis] // SIDE
-                _spline(u - node[axis], w[axis], d[axis])
-            if not within:
-                continue
-            row = bricks[brick[0], brick[1], brick[2]]
-            if row == -1:
-                continue
-            if row == -2:
-                sums[p] = 1.0
-                continue
-            a, b, c = node[0] - brick[0] * SIDE, node[1] - brick[1] * SIDE, node[2] - brick[2] * SIDE
-            least, most = 65535, 0
-            total, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
-            for i in range(3):
-                for j in range(3):
-                    start = ((a + i) * ACROSS + b + j) * ACROSS + c
-                    v0, v1, v2 = values[row, start], values[row, start + 1], values[row, start + 2]
-                    least = min(least, v0, v1, v2)
-                    most = max(most, v0, v1, v2)
-                    along = w[2, 0] * v0 + w[2, 1] * v1 + w[2, 2] * v2
-                    total += w[0, i] * w[1, j] * along
-                    gx += d[0, i] * w[1, j] * along
-                    gy += w[0, i] * d[1, j] * along
-                    gz += w[0, i] * w[1, j] * (d[2, 0] * v0 + d[2, 1] * v1 + d[2, 2] * v2)
-            if least == 65535:
-                sums[p] = 1.0
-            elif most > 0:
-                sums[p] = min(total / 65535.0, 1.0)
-                gradients[p, 0] = gx / (65535.0 * h)
-                gradients[p, 1] = gy / (65535.0 * h)
-                gradients[p, 2] = gz / (65535.0 * h)
+            a, b, c = points[p, 0], points[p, 1], points[p, 2]
+            x = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c + shift[0]
+            y = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c + shift[1]
+            z = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c + shift[2]
+            found, gx, gy, gz = _sum_at(low, h, bricks, values, x, y, z, w, d)
+            sums[p] = found
+            gradients[p, 0] = gx * turn[0, 0] + gy * turn[1, 0] + gz * turn[2, 0]
+            gradients[p, 1] = gx * turn[0, 1] + gy * turn[1, 1] + gz * turn[2, 1]
+            gradients[p, 2] = gx * turn[0, 2] + gy * turn[1, 2] + gz * turn[2, 2]
 
 
 @njit(parallel=True, cache=True)

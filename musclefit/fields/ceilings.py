@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 from musclefit.fields.solenoidal_bounds import add_level, level_workspace
 from musclefit.geometry.arrays import Float, Int, Points
 
-GRADIENT, STRAIN = 0, 1
-"""Ceilings of the gradient's Frobenius norm, and of the strain's eigenvalues."""
+GRADIENT, STRAIN, BEND = 0, 1, 2
+"""Ceilings of the gradient's Frobenius norm, of the strain's eigenvalues, and of the Frobenius norm of the gradient's
+derivatives, per mm: no two gradients differ by more than that times their distance."""
+
+KINDS = 3
 
 LOOKED_AT = 4
 """Blocks along each axis that a box is looked up in at most; wider boxes take wider blocks."""
@@ -36,7 +39,7 @@ class Ceilings:
         The lattice's first point.
     spacing_mm : float
     flat : (n,) float32
-        All ceilings: the cells' (2, m0, m1, m2), then those of wider and wider blocks.
+        All ceilings: the cells' (3, m0, m1, m2), then those of wider and wider blocks.
     starts : (h,) int64
         Where each of these begins.
     shapes : (h, 3) int64
@@ -53,13 +56,13 @@ class Ceilings:
     def of(cls, low: Float, spacing: float, *, numbers: NDArray[np.int32], coefficients: Points) -> Ceilings:
         """Of a level: see `PotentialLevel` for what it is given by."""
         sizes = tuple(n + 3 for n in numbers.shape)
-        seen, cells = np.zeros(sizes, dtype=np.bool_), np.zeros((2, *sizes), dtype=np.float32)
+        seen, cells = np.zeros(sizes, dtype=np.bool_), np.zeros((KINDS, *sizes), dtype=np.float32)
         _mark_cells(numbers, seen)
         _fill_cells(low, spacing, numbers, coefficients, seen, cells)
         pyramid = [cells]
         while max(pyramid[-1].shape[1:]) > 1:
             below = pyramid[-1]
-            above = np.zeros((2, *((m + 1) // 2 for m in below.shape[1:])), dtype=np.float32)
+            above = np.zeros((KINDS, *((m + 1) // 2 for m in below.shape[1:])), dtype=np.float32)
             _fill_blocks(below, above)
             pyramid.append(above)
         starts = np.cumsum([0, *(blocks.size for blocks in pyramid[:-1])])
@@ -67,7 +70,7 @@ class Ceilings:
         return cls(low, spacing, np.concatenate([blocks.ravel() for blocks in pyramid]), starts, shapes)
 
     def add_over(self, centres: Points, half_widths: Float, out: Float) -> None:
-        """Add those over (B,) boxes to ``out`` (B, 2): see ``GRADIENT`` and ``STRAIN``."""
+        """Add those over (B,) boxes to ``out`` (B, 3): see ``GRADIENT``, ``STRAIN`` and ``BEND``."""
         _look_up(self.low, self.spacing_mm, self.flat, self.starts, self.shapes, centres, half_widths, out)
 
 
@@ -109,12 +112,30 @@ def _fill_cells(low, spacing, numbers, coefficients, seen, cells):
                 # 1.000001: of the norms, and of single precision.
                 cells[0, i, j, k] = (np.sqrt(steepest) + 4.0 * rounding) * 1.000001
                 cells[1, i, j, k] = (np.sqrt(2.0 / 3.0 * strained) + 4.0 * rounding) * 1.000001
+                bend = _largest_step(hull, 16) + _largest_step(hull, 4) + _largest_step(hull, 1)
+                cells[2, i, j, k] = (3.0 * np.sqrt(bend) + 24.0 * rounding) / spacing * 1.000001
+
+
+@njit(cache=True)
+def _largest_step(hull, stride):
+    """The largest squared norm of the difference of neighbours along the axis of a stride; of Bernstein coefficients
+    these span the derivative along it, in units of the degree, 3, over the cell."""
+    largest = 0.0
+    for lane in range(64):
+        if lane // stride % 4 == 3:
+            continue
+        size = 0.0
+        for row in range(9):
+            step = hull[row, lane + stride] - hull[row, lane]
+            size += step * step
+        largest = max(largest, size)
+    return largest
 
 
 @njit(parallel=True, cache=True)
 def _fill_blocks(below, above):
     for i in prange(above.shape[1]):
-        for which in range(2):
+        for which in range(KINDS):
             for j in range(above.shape[2]):
                 for k in range(above.shape[3]):
                     above[which, i, j, k] = below[which, 2 * i : 2 * i + 2, 2 * j : 2 * j + 2, 2 * k : 2 * k + 2].max()
@@ -145,7 +166,7 @@ def _look_up(low, spacing, flat, starts, shapes, centres, half_widths, out):
                 last[axis] >>= 1
                 most = max(most, last[axis] - first[axis] + 1)
         m0, m1, m2 = shapes[height]
-        for which in range(2):
+        for which in range(KINDS):
             largest = np.float32(0.0)
             for i in range(first[0], last[0] + 1):
                 for j in range(first[1], last[1] + 1):

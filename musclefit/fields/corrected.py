@@ -57,6 +57,14 @@ class CorrectedField:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
         return self._with_local(*self.radial.gradient_bounds(centres, half_widths), centres, half_widths)
 
+    def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+        """As ``gradient_bounds``, cheaper, and hardly wider where boxes are narrow for the local part's lattices."""
+        gradients, radii = self.radial.gradient_bounds(centres, half_widths)
+        more, spread = self.local.gradient_and_spread(centres, half_widths)
+        sums = gradients + more
+        rounding = ROUNDING * (np.abs(gradients) + np.abs(more)).sum(axis=(1, 2))
+        return sums, (radii + spread + rounding) * (1.0 + 1e-15)
+
     def gradient_ball_bounds(self, centres: Points, radii: Float) -> tuple[Gradients, Float]:
         """As ``gradient_bounds``, over (B,) balls."""
         half_widths = enclosures.cubes(radii, centres.shape[1])

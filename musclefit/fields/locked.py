@@ -24,6 +24,10 @@ from musclefit.fields.jets import Jets
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
+TIGHTER = 0.3
+"""What is left of a quick enclosure's radius, at best, when a base field's gradient is enclosed again with more effort.
+"""
+
 ROUNDING = 1e-13
 """Of computed gradients and eigenvalues, in units of the sizes that they are made of."""
 
@@ -38,6 +42,15 @@ class BoundedBase(Protocol):
 
     def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         """Displacements at the centres of boxes and radii, (B, n) each, mm."""
+        ...
+
+
+@runtime_checkable
+class QuicklyBounded(Protocol):
+    """A base field that has a cheaper enclosure of its gradient, which is as good for narrow boxes."""
+
+    def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+        """As ``gradient_bounds``."""
         ...
 
 
@@ -73,9 +86,14 @@ class Nearness:
 
     def at(self, points: Points) -> tuple[Float, Points]:
         """Distances (N,), mm, and their gradients (N, 3) at (N, 3) points of the bone at rest."""
+        return self.moved_at(points, np.eye(3), np.zeros(3))
+
+    def moved_at(self, points: Points, to_rest: Float, shift: Float) -> tuple[Float, Points]:
+        """The same at (N, 3) points x that stand for ``to_rest @ x + shift``; gradients are by x."""
         found, slopes = np.empty(len(points)), np.empty((len(points), 3))
         where = np.ascontiguousarray(points, dtype=np.float64)
-        bricks.values_at(self.low, self.spacing_mm, self.bricks, self.values, where, found, slopes)
+        lattice = self.low, self.spacing_mm, self.bricks, self.values
+        bricks.moved_values_at(*lattice, to_rest, shift, where, found, slopes)
         whole = self.reach_mm + self.depth_mm
         return self.reach_mm - whole * found, -whole * slopes
 
@@ -179,8 +197,13 @@ class Lock:
 
     def distances(self, points: Points) -> tuple[Float, Points]:
         """Distances from the bone (N,), mm at rest, and their gradients (N, 3) at points of the field."""
-        found, slopes = self.nearness.at(points @ self.to_rest.T + self.shift)
-        return found, slopes @ self.to_rest
+        return self.nearness.moved_at(points, self.to_rest, self.shift)
+
+    def near(self, points: Points) -> tuple[Int, Float, Points]:
+        """Which points are so near that the lock may have a weight, their distances and the gradients of these."""
+        found, slopes = self.distances(points)
+        near = np.flatnonzero(found < self.nearness.surface_mm + self.fade.over_mm)
+        return near, found[near], slopes[near]
 
     def over(self, centres: Points, half_widths: Float) -> Jets:
         """The distances over boxes."""
@@ -215,13 +238,12 @@ class LockedField:
 
     def displacement(self, points: Points) -> Points:
         """(N, 3) displacements at (N, 3) points, mm."""
-        free, parts = self._weights(points)
+        held = self._held(points)
         values = np.zeros_like(points)
-        some = np.flatnonzero(free != 0.0)
-        values[some] = free[some, None] * self.base.displacement(np.ascontiguousarray(points[some]))
-        for lock, (found, _) in zip(self.locks, parts, strict=True):
-            on = np.flatnonzero(found)
-            values[on] += found[on, None] * lock.displacement(points[on])
+        some = np.flatnonzero(~_whole(held, len(points)))
+        values[some] = self.base.displacement(np.ascontiguousarray(points[some]))
+        for lock, at in zip(self.locks, held, strict=True):
+            values[at.places] += at.weights[:, None] * (lock.displacement(points[at.places]) - values[at.places])
         return values
 
     def gradient(self, points: Points) -> Gradients:
@@ -230,18 +252,19 @@ class LockedField:
 
     def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
         """Both in one pass."""
-        free, parts = self._weights(points)
-        values, gradients = np.zeros_like(points), np.zeros((len(points), 3, 3))
-        bare = np.zeros_like(points)
-        some = np.flatnonzero(free != 0.0)
-        bare[some], slopes = self.base.displacement_and_gradient(np.ascontiguousarray(points[some]))
-        values[some] = free[some, None] * bare[some]
-        gradients[some] = free[some, None, None] * slopes
-        for lock, (found, steep) in zip(self.locks, parts, strict=True):
-            on = np.flatnonzero(found)
-            own = lock.displacement(points[on])
-            values[on] += found[on, None] * own
-            gradients[on] += found[on, None, None] * lock.linear + (own - bare[on])[:, :, None] * steep[on, None, :]
+        held = self._held(points)
+        whole = _whole(held, len(points))
+        if whole.any():
+            values, gradients = np.zeros_like(points), np.zeros((len(points), 3, 3))
+            some = np.flatnonzero(~whole)
+            values[some], gradients[some] = self.base.displacement_and_gradient(np.ascontiguousarray(points[some]))
+        else:
+            values, gradients = self.base.displacement_and_gradient(np.ascontiguousarray(points))
+        for lock, at in zip(self.locks, held, strict=True):
+            apart = lock.displacement(points[at.places]) - values[at.places]
+            turned = lock.linear - gradients[at.places]
+            values[at.places] += at.weights[:, None] * apart
+            gradients[at.places] += at.weights[:, None, None] * turned + apart[:, :, None] * at.slopes[:, None, :]
         return values, gradients
 
     def scaled(self, factor: float) -> Self:
@@ -250,8 +273,7 @@ class LockedField:
 
     def locked(self, points: Points) -> Bool:
         """(N,) whether the field is exactly the displacement of one bone there."""
-        whole: Bool = self._weights(points)[0] == 0.0
-        return whole
+        return _whole(self._held(points), len(points))
 
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
@@ -281,14 +303,17 @@ class LockedField:
             middles[own] = ranges[own]
         if mixed.size:
             part = boxes.only(mixed)
-            bare = self._bare(part)
-            gradients, radii = self._enclosed(part, bare, strain=True)
-            values = np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1)))[:, [0, -1]]
-            off = radii + ROUNDING * np.abs(gradients).sum(axis=(1, 2))
-            first = np.stack([values[:, 0] - off, values[:, 1] + off], axis=1)
-            found = np.where(np.isnan(first), np.array([-np.inf, np.inf]), first)
+            bare = self._bare(part, quick=True)
+            found, values = self._strains(part, bare)
+            short = np.flatnonzero(_outside(found, enough))
+            if short.size and isinstance(base, QuicklyBounded):
+                # More effort is worth it where it may suffice; other boxes are cut.
+                hopeful = replace(bare.only(short), spread=TIGHTER * bare.spread[short])
+                worth = short[~_outside(self._strains(part.only(short), hopeful)[0], enough)]
+                if worth.size:
+                    found[worth] = self._strains(part.only(worth), self._bare(part.only(worth)))[0]
             wide = np.linalg.norm(part.half_widths, axis=1) > min(lock.nearness.spacing_mm for lock in self.locks)
-            short = np.flatnonzero(wide & ~((found[:, 0] >= enough[0]) & (found[:, 1] <= enough[1])))
+            short = np.flatnonzero(wide & _outside(found, enough))
             if short.size:
                 found[short] = enclosures.narrower(
                     found[short], self._blended(part.only(short), bare.only(short), enough)
@@ -296,14 +321,27 @@ class LockedField:
             ranges[mixed], middles[mixed] = found, values
         return ranges, middles
 
+    def _strains(self, boxes: _Boxes, bare: _Bare) -> tuple[Float, Float]:
+        """Ranges of the strain's eigenvalues over boxes that see both a lock and the base, and those at the centres."""
+        gradients, radii = self._enclosed(boxes, bare, strain=True)
+        values: Float = np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1)))[:, [0, -1]].astype(
+            np.float64
+        )
+        off = radii + ROUNDING * np.abs(gradients).sum(axis=(1, 2))
+        found = np.stack([values[:, 0] - off, values[:, 1] + off], axis=1)
+        return np.where(np.isnan(found), np.array([-np.inf, np.inf]), found), values
+
     def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, 3) each, mm."""
         half_widths = np.broadcast_to(half_widths, centres.shape)
         boxes = self._boxes(centres, half_widths)
-        gradients, radii = self._enclosed(boxes, self._bare(boxes))
         values = self.displacement(centres)
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14)
-        wide = np.where(reach > 0.0, (np.linalg.norm(gradients, axis=(1, 2)) * (1.0 + 1e-13) + radii) * reach, 0.0)
+        wide, some = np.zeros(len(centres)), np.flatnonzero(reach > 0.0)
+        if some.size:
+            part = boxes.only(some)
+            gradients, radii = self._enclosed(part, self._bare(part))
+            wide[some] = (np.linalg.norm(gradients, axis=(1, 2)) * (1.0 + 1e-13) + radii) * reach[some]
         size = np.abs(centres).sum(axis=1) + 1.0
         rounding = np.zeros(len(centres))
         for lock in self.locks:
@@ -323,25 +361,28 @@ class LockedField:
         """Of every lock (K, N), and their gradients (K, N, 3), per mm; at most one is not 0 at any point."""
         count = len(self.locks)
         weights, slopes = np.zeros((count, len(points))), np.zeros((count, len(points), 3))
-        found = [lock.distances(points) for lock in self.locks]
-        for k, (lock, (own, steep)) in enumerate(zip(self.locks, found, strict=True)):
-            near = np.flatnonzero(own < lock.nearness.surface_mm + lock.fade.over_mm)
-            risen, steepness = _risen((own[near] - lock.nearness.surface_mm, steep[near]), lock.fade.over_mm)
-            value, slope = 1.0 - risen, -steepness
-            for j, (other, beside) in enumerate(found):
-                if j != k:
-                    farther = other[near] - own[near], beside[near] - steep[near]
-                    value, slope = _product((value, slope), _risen(farther, self._apart(k, j)))
-            weights[k, near], slopes[k, near] = value, slope
+        for k, at in enumerate(self._held(points)):
+            weights[k, at.places], slopes[k, at.places] = at.weights, at.slopes
         return weights, slopes
 
     def _apart(self, k: int, j: int) -> float:
         return min(self.locks[k].fade.apart_mm, self.locks[j].fade.apart_mm)
 
-    def _weights(self, points: Points) -> tuple[Float, list[tuple[Float, Points]]]:
-        """What is left for the base field (N,), and the weights of each lock."""
-        weights, slopes = self.weights(points)
-        return 1.0 - weights.sum(axis=0), list(zip(weights, slopes, strict=True))
+    def _held(self, points: Points) -> list[_Held]:
+        """Where each lock has a weight."""
+        held = []
+        for k, lock in enumerate(self.locks):
+            near, own, steep = lock.near(points)
+            risen, steepness = _risen((own - lock.nearness.surface_mm, steep), lock.fade.over_mm)
+            value, slope = 1.0 - risen, -steepness
+            for j, other in enumerate(self.locks):
+                if j != k and near.size:
+                    distances, slopes = other.distances(points[near])
+                    farther = distances - own, slopes - steep
+                    value, slope = _product((value, slope), _risen(farther, self._apart(k, j)))
+            some = value != 0.0
+            held.append(_Held(near[some], value[some], slope[some]))
+        return held
 
     def _boxes(self, centres: Points, half_widths: Float) -> _Boxes:
         found = [lock.over(centres, half_widths) for lock in self.locks]
@@ -359,16 +400,15 @@ class LockedField:
             own[jets.low == 1.0] = k
         return _Boxes(centres, half_widths, tuple(weights), bare, own)
 
-    def _bare(self, boxes: _Boxes) -> _Bare:
+    def _bare(self, boxes: _Boxes, *, quick: bool = False) -> _Bare:
         """What is proved of the base field over boxes that see it."""
         base, n = self.base, len(boxes.centres)
         steep, spread = np.zeros((n, 3, 3)), np.zeros(n)
         values, rounding = np.zeros((n, 3)), np.zeros(n)
         seen = np.flatnonzero(~boxes.whole)
         if seen.size:
-            found = base.gradient_bounds(
-                np.ascontiguousarray(boxes.centres[seen]), np.ascontiguousarray(boxes.half_widths[seen])
-            )
+            bounds = base.gradient_and_spread if quick and isinstance(base, QuicklyBounded) else base.gradient_bounds
+            found = bounds(np.ascontiguousarray(boxes.centres[seen]), np.ascontiguousarray(boxes.half_widths[seen]))
             known: Bool = np.asarray(np.isfinite(found[0]).all(axis=(1, 2)), dtype=np.bool_)
             steep[seen], spread[seen] = np.where(known[:, None, None], found[0], 0.0), np.where(known, found[1], np.inf)
         touched = np.flatnonzero(~boxes.whole & ~boxes.bare)
@@ -437,6 +477,23 @@ class LockedField:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Held:
+    """The points at which a lock has a weight, the weights there, and their gradients, per mm."""
+
+    places: Int
+    weights: Float
+    slopes: Points
+
+
+def _whole(held: Sequence[_Held], count: int) -> Bool:
+    """(N,) points at which one weight is 1."""
+    whole: Bool = np.zeros(count, dtype=bool)
+    for at in held:
+        whole[at.places[at.weights == 1.0]] = True
+    return whole
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class _Bare:
     """What is proved of the base field over boxes: its gradient (B, 3, 3) at the centres and how far it gets from that;
     its value (B, 3) at the centres and what rounding that may be off by. Nothing where one bone is whole."""
@@ -469,6 +526,12 @@ class _Boxes:
     def only(self, kept: NDArray[np.int64]) -> _Boxes:
         weights = tuple(jets.only(kept) for jets in self.weights)
         return _Boxes(self.centres[kept], self.half_widths[kept], weights, self.bare[kept], self.own[kept])
+
+
+def _outside(ranges: Float, enough: tuple[float, float]) -> Bool:
+    """(B,) where ranges reach beyond what is enough."""
+    found: Bool = ~((ranges[:, 0] >= enough[0]) & (ranges[:, 1] <= enough[1]))
+    return found
 
 
 def _least_left(weights: Sequence[Jets]) -> Float:

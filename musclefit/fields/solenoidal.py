@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
 from musclefit.fields import potentials, solenoidal_bounds
-from musclefit.fields.ceilings import GRADIENT, STRAIN, Ceilings
+from musclefit.fields.ceilings import BEND, GRADIENT, KINDS, STRAIN, Ceilings
 from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
 MAX_LATTICE_POINTS = 400_000_000
@@ -116,13 +116,14 @@ class SolenoidalField:
         return replace(self, levels=tuple(replace(a, coefficients=a.coefficients + b.coefficients) for a, b in pairs))
 
     def ceilings(self, centres: Points, half_widths: Float) -> Float:
-        """(B, 2) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
+        """(B, 3) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
 
-        Of the gradient's Frobenius norm, and of its symmetric part's eigenvalues; 0 where the field is.
+        Of the gradient's Frobenius norm, of its symmetric part's eigenvalues, and of the Frobenius norm of its
+        derivatives, per mm; 0 where the field is.
         """
         where = _accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
-        found = np.zeros((len(where), 2))
+        found = np.zeros((len(where), KINDS))
         for level in self._ceilings:
             level.add_over(where, half_widths, found)
         return found * (1.0 + 1e-14)
@@ -157,6 +158,30 @@ class SolenoidalField:
         added = np.ascontiguousarray(gradients)
         solenoidal_bounds.box_bounds(*self._lattices, added, where, half_widths, ceilings, strain, sums, found)
         return sums, found
+
+    def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+        """Gradients at the centres of boxes (B, 3, 3), and how far no gradient of a box is from that, in every norm.
+
+        Cheaper than ``bounds_with``, and hardly wider where boxes are narrow for the lattices.
+        """
+        where = _accepted(centres)
+        half_widths = np.broadcast_to(half_widths, where.shape)
+        reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14)
+        found = self.ceilings(where, half_widths)
+        most = 2.0 * found[:, GRADIENT]
+        spread = np.minimum(most, found[:, BEND] * reach) + self._gradient_rounding(where)
+        return self.gradient(where), np.where(reach > 0.0, spread, self._gradient_rounding(where)) * (1.0 + 1e-14)
+
+    def _gradient_rounding(self, points: Points) -> Float:
+        """(B,) how far computed gradients may be off, in the Frobenius norm, as in `solenoidal_bounds`."""
+        reach = np.abs(points).max(axis=1, initial=0.0)
+        off = np.zeros(len(points))
+        for level in self.levels:
+            largest = float(np.abs(level.coefficients).max(initial=0.0))
+            h = level.spacing_mm
+            most = np.maximum(reach, float(np.abs(level.low).max()))
+            off += 3.0 * solenoidal_bounds.ROUNDING * largest / (h * h) * (1.0 + 2.0 * most / h)
+        return off
 
     def displacement_rounding(self, centres: Points) -> Float:
         """(B,) how far, in every component, computed displacements at points may be off, mm."""

@@ -169,7 +169,7 @@ def nearness_of(surface: TriMesh, *, spacing_mm: float, reach_mm: float) -> Near
     values = np.empty((len(near), ACROSS**3), dtype=np.uint16)
     sums.with_borders(bricks, near, inner, values)
     found, slopes = np.empty(len(at)), np.empty((len(at), 3))
-    sums.values_at(low, h, bricks, values, at, found, slopes)
+    sums.moved_values_at(low, h, bricks, values, np.eye(3), np.zeros(3), at, found, slopes)
     _raise_beside(at, low, h, bricks, np.ceil(level - ONE * found).astype(np.int64), inner)
     sums.with_borders(bricks, near, inner, values)
     nearness = _packed(Nearness(low, h, bricks, values, reach_mm, depth, 0.0))

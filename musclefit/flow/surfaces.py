@@ -12,6 +12,7 @@ from musclefit.flow.deformation import Deformation
 from musclefit.flow.riding import PlainRiders, Riders
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points
 from musclefit.geometry.crossings import self_crossings
+from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.subdivision import FaceEdges, longest_edges, split_edges, with_short_edges
 from musclefit.progress import Progress, Silent, Tick
@@ -77,13 +78,13 @@ class CutAnatomy:
     given: Anatomy
 
 
-def cut_at_rest(anatomy: Anatomy, *, longest_mm: float, whole: frozenset[str]) -> CutAnatomy:
+def cut_at_rest(anatomy: Anatomy, *, longest_mm: float | EdgeLengths, whole: frozenset[str]) -> CutAnatomy:
     """The same surfaces with no edge longer than a length, for a march to be tested at: no bend hides in between.
 
     Parameters
     ----------
     anatomy : Anatomy
-    longest_mm : float
+    longest_mm : float or EdgeLengths
     whole : frozenset of str
         Tissues that are not split: bones that move rigidly.
     """
@@ -119,7 +120,7 @@ def carried_finely(
     deformation: Deformation,
     *,
     tolerance_mm: float,
-    longest_mm: float,
+    longest_mm: float | EdgeLengths,
     whole: frozenset[str],
     progress: Progress,
 ) -> Carried:
@@ -129,7 +130,8 @@ def carried_finely(
     ----------
     anatomy : Anatomy
     deformation : Deformation
-    tolerance_mm, longest_mm : float
+    tolerance_mm : float
+    longest_mm : float or EdgeLengths
     whole : frozenset of str
         Tissues that are not split: bones that move rigidly.
     """

@@ -10,6 +10,7 @@ from numba import njit
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Faces, Int, Points
+from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.meshes import TriMesh
 
 
@@ -105,12 +106,14 @@ def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:
     return TriMesh(vertices, _split_faces(mesh.faces, middle[edges.of_face], vertices))
 
 
-def with_short_edges(mesh: TriMesh, *, longest_mm: float) -> TriMesh:
-    """The same surface with every edge longer than ``longest_mm`` halved until none is."""
+def with_short_edges(mesh: TriMesh, *, longest_mm: float | EdgeLengths) -> TriMesh:
+    """The same surface with every edge longer than ``longest_mm``, at its middle, halved until none is."""
+    lengths = longest_mm if isinstance(longest_mm, EdgeLengths) else EdgeLengths.even(longest_mm)
     while True:
         edges = FaceEdges.of(mesh.faces)
         ends = mesh.vertices[edges.ends]
-        long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > longest_mm
+        long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > lengths.near_mm
+        long[long] = np.linalg.norm(ends[long, 1] - ends[long, 0], axis=1) > lengths.at(ends[long].mean(axis=1))
         if not long.any():
             return mesh
         mesh = split_edges(mesh, edges, long)

@@ -14,6 +14,7 @@ from musclefit.flow.surfaces import MAX_ROUNDS, bent_edges, split_bent
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.solids import ROUNDING_MM3
 from musclefit.geometry.subdivision import FaceEdges, with_short_edges
+from musclefit.pipeline.choices import surface_choices
 from musclefit.pipeline.poses import collision_in_words, collision_on_the_way
 from musclefit.pipeline.refining import deform_finely
 from musclefit.pipeline.retarget import motions_of_held_bones
@@ -146,13 +147,14 @@ class PosesOnTheWay:
             finer surfaces, or they would have too many triangles.
         """
         self._pairs.add(names)
-        settings = self._stage.job.rig.surfaces
-        chord, longest = settings.chord_tolerance_mm / 4**fineness, settings.longest_edge_mm / 2**fineness
+        chosen = surface_choices(self._stage.job)
+        chord, lengths = chosen.chord_mm / 4**fineness, chosen.longest.scaled(0.5**fineness)
+        longest = lengths.most_mm
         maps = [self._map(moment) for moment in moments]
         given = self._stage.job.anatomy
         tissues = []
         for name in names:
-            surface = with_short_edges(given[name].surface, longest_mm=longest)
+            surface = with_short_edges(given[name].surface, longest_mm=lengths)
             bending = [map_.deformation for map_ in maps if name not in map_.held]
             known = [deformation.jacobian(surface.vertices) for deformation in bending]
             for _ in range(MAX_ROUNDS):

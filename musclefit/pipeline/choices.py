@@ -1,4 +1,5 @@
-"""What a rig leaves open of rigid bones, chosen from the sizes of the bones that meet; and why, for the report."""
+"""What a rig leaves open of rigid bones and of surfaces, chosen from the sizes of the bones that meet and from the gaps
+between tissues; and why, for the report."""
 
 from __future__ import annotations
 
@@ -9,13 +10,15 @@ from functools import lru_cache
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.fields.locked import Fade
 from musclefit.flow.bones import moving_together, poses_on_the_way
 from musclefit.flow.locks import ZONE, LockSettings
 from musclefit.geometry.arrays import Float
-from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.distances import DistanceTree, nearest_places
+from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.subdivision import with_short_edges
 from musclefit.geometry.volumes import area_vectors, enclosed_volume
 from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job
@@ -35,6 +38,38 @@ LOCK, FADE, APART = 0.1, 0.17, 0.42
 """Spacing of the lattice of smooth distances, where locks fade, and how far apart bones must be for both to be locked,
 in units of the thickness of a group's thinnest bone that meets another, or of the typical one if that is less: a wider
 fade changes the volume of more muscle, a narrower one and bones that are locked closer to each other shear it more."""
+
+
+EDGES, GROWTH, LONGEST = 2.0, 0.5, 4.0
+"""The longest edges of soft tissue: beside moving bones in units of the narrowest lattice, how much longer they may be
+per mm of distance from these, and how much longer at most. Far from bones the field is as smooth as its widest part."""
+
+EVEN_MM, CHORD_MM = 3.0, 0.02
+"""The longest edge and the chord tolerance where no bones are held."""
+
+CHORD, CHORDS = 0.5, (0.0025, 0.01)
+"""The chord tolerance in units of the gap between tissues that all but ``TIGHT`` of their surfaces exceed, and its
+bounds in units of the size of the bones that meet."""
+
+TIGHT, LOOKED_AT = 0.05, 400
+"""Vertices of each tissue that gaps are measured at, at most."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SurfaceChoices:
+    """How finely surfaces are cut, given or chosen.
+
+    Parameters
+    ----------
+    chord_mm : float
+    longest : EdgeLengths
+    findings : tuple of Finding
+        What was chosen, and why.
+    """
+
+    chord_mm: float
+    longest: EdgeLengths
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,6 +154,67 @@ def bone_choices(job: Job) -> BoneChoices:
         ]
     samples = (LOCKED_SAMPLES if given.lock else SAMPLES) * size
     return BoneChoices(sizes.groups, spacing, samples, lattices, locks, zones, tuple(findings))
+
+
+@lru_cache(maxsize=2)
+def surface_choices(job: Job) -> SurfaceChoices:
+    """The chord tolerance and the longest edges of a job; what its rig gives stands.
+
+    Parameters
+    ----------
+    job : Job
+    """
+    given, findings = job.rig.surfaces, []
+    chord, longest = given.chord_tolerance_mm, given.longest_edge_mm
+    if not (job.rig.bones.rigid and given.refine):
+        return SurfaceChoices(
+            CHORD_MM if chord is None else chord, EdgeLengths.even(EVEN_MM if longest is None else longest), ()
+        )
+    assert job.motions is not None  # a rig with rigid bones says how they move
+    if longest is not None:
+        edges = EdgeLengths.even(longest)
+    else:
+        near = EDGES * min(bone_choices(job).lattices_mm)
+        moving = sorted(set(job.motions.at(1.0)) & {tissue.name for tissue in job.anatomy})
+        places = [with_short_edges(job.anatomy[bone].surface, longest_mm=near).vertices for bone in moving]
+        edges = EdgeLengths(near, np.concatenate(places), GROWTH, LONGEST * near)
+        value = f"{near:.3g} mm beside moving bones to {edges.most_mm:.3g} mm far from them"
+        findings.append(
+            _chosen("surfaces.longest_edge_mm", value, f"the narrowest lattice is {near / EDGES:.3g} mm wide")
+        )
+    if chord is None:
+        size = bone_sizes(job.anatomy, job.motions).typical_mm
+        least, most = (bound * size for bound in CHORDS)
+        gap = tight_gap(job.anatomy, within_mm=most / CHORD)
+        chord = min(max(CHORD * gap, least), most)
+        tight = f"{gap:.2g} mm" if gap < most / CHORD else f"at least {most / CHORD:.2g} mm"
+        why = f"all but {TIGHT:.0%} of the tissues' surfaces are {tight} from the next, and bones {size:.3g} mm thick"
+        findings.append(_chosen("surfaces.chord_tolerance_mm", f"{chord:.2g} mm", why))
+    return SurfaceChoices(chord, edges, tuple(findings))
+
+
+def tight_gap(anatomy: Anatomy, *, within_mm: float) -> float:
+    """The distance from the next tissue that all but ``TIGHT`` of the tissues' surfaces, skin apart, exceed, mm.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    within_mm : float
+        Gaps above this count as this.
+    """
+    tissues = [tissue.surface for tissue in anatomy if tissue.kind is not TissueKind.SKIN]
+    trees = [DistanceTree(surface) for surface in tissues]
+    found = []
+    for k, surface in enumerate(tissues):
+        points = surface.vertices[:: math.ceil(len(surface.vertices) / LOOKED_AT)]
+        gaps = np.full(len(points), within_mm)
+        for j, other in enumerate(tissues):
+            low, high = other.vertices.min(axis=0) - within_mm, other.vertices.max(axis=0) + within_mm
+            near = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+            if j != k and near.size:
+                gaps[near] = np.minimum(gaps[near], trees[j](points[near]))
+        found.append(gaps)
+    return float(np.quantile(np.concatenate(found), TIGHT)) if found else within_mm
 
 
 def bone_sizes(anatomy: Anatomy, motions: BoneMotions) -> BoneSizes:

@@ -18,6 +18,7 @@ from musclefit.flow.surfaces import Carried, CutAnatomy, carried_finely, cut_at_
 from musclefit.geometry.arrays import Float, Gradients, Points
 from musclefit.geometry.surface_samples import EDGES_PER_SPACING, surface_samples
 from musclefit.geometry.volumes import area_vectors
+from musclefit.pipeline.choices import surface_choices
 from musclefit.pipeline.deformers import Deformed, bone_limits, keep_bones, march_of
 from musclefit.progress import Progress
 from musclefit.rig.job import Job
@@ -78,11 +79,11 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     ----------
     job : Job
     """
-    settings, surfaces = job.rig.deformer, job.rig.surfaces
+    settings, surfaces, chosen = job.rig.deformer, job.rig.surfaces, surface_choices(job)
     whole = _moved_as_wholes(job)
     cut = _cut(job, whole)
     points = cut.anatomy.vertices()
-    between, gap = _between(cut.anatomy, longest_mm=surfaces.longest_edge_mm)
+    between, gap = _between(cut.anatomy, longest_mm=chosen.longest.most_mm)
     along = between if settings.step is StepKind.CAYLEY and settings.tested_at is TestedAt.ALL_POINTS else between[:0]
     tested = np.vstack([points, along])
     made, groups = march_of(job, tested, progress=progress)
@@ -91,8 +92,7 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     else:
         riders = riders_of(made, tested, progress=progress)
     if surfaces.refine:
-        tolerance = surfaces.chord_tolerance_mm
-        carried, riders = finely_carried(cut, riders, tolerance_mm=tolerance, whole=whole, progress=progress)
+        carried, riders = finely_carried(cut, riders, tolerance_mm=chosen.chord_mm, whole=whole, progress=progress)
     else:
         moved, jacobians = riders.moved[: len(points)], riders.jacobians[: len(points)]
         carried = Carried(cut.anatomy, cut.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
@@ -113,20 +113,20 @@ def move_finely(job: Job, deformation: Deformation, *, progress: Progress) -> Ma
     job : Job
     deformation : Deformation
     """
-    surfaces = job.rig.surfaces
+    surfaces, chosen = job.rig.surfaces, surface_choices(job)
     if surfaces.refine:
         carried = carried_finely(
             job.anatomy,
             deformation,
-            tolerance_mm=surfaces.chord_tolerance_mm,
-            longest_mm=surfaces.longest_edge_mm,
+            tolerance_mm=chosen.chord_mm,
+            longest_mm=chosen.longest,
             whole=frozenset(),
             progress=progress,
         )
     else:
         moved, jacobians = deformation.with_jacobian(job.anatomy.vertices())
         carried = Carried(job.anatomy, job.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
-    between, gap = _between(_cut(job, frozenset()).anatomy, longest_mm=surfaces.longest_edge_mm)
+    between, gap = _between(_cut(job, frozenset()).anatomy, longest_mm=chosen.longest.most_mm)
     return Made(Deformed(deformation, ()), carried, _looked_at(carried, deformation, between, gap, known=None), 0)
 
 
@@ -227,10 +227,9 @@ def _moved_as_wholes(job: Job) -> frozenset[str]:
 
 
 def _cut(job: Job, whole: frozenset[str]) -> CutAnatomy:
-    surfaces = job.rig.surfaces
-    if not surfaces.refine:
+    if not job.rig.surfaces.refine:
         return CutAnatomy(job.anatomy, {}, job.anatomy)
-    return cut_at_rest(job.anatomy, longest_mm=surfaces.longest_edge_mm, whole=whole)
+    return cut_at_rest(job.anatomy, longest_mm=surface_choices(job).longest, whole=whole)
 
 
 def _between(anatomy: Anatomy, *, longest_mm: float) -> tuple[Points, float]:

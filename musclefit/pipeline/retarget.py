@@ -24,7 +24,7 @@ from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mend
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.pipeline.choices import bone_choices
+from musclefit.pipeline.choices import bone_choices, surface_choices
 from musclefit.pipeline.compared import LoopProgress, papers_loop
 from musclefit.pipeline.deformers import (
     Deformed,
@@ -468,7 +468,8 @@ def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
 
 def _chosen(job: Job) -> tuple[Finding, ...]:
     """What the rig leaves open of rigid bones."""
-    return bone_choices(job).findings if job.rig.bones.rigid else ()
+    of_bones = bone_choices(job).findings if job.rig.bones.rigid else ()
+    return (*of_bones, *surface_choices(job).findings) if job.rig.surfaces.refine else of_bones
 
 
 def _kept_findings(deformed: Deformed) -> tuple[Finding, ...]:

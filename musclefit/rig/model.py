@@ -441,7 +441,7 @@ class SurfaceSettings:
     """Whether surfaces are cut finer where the map bends their triangles.
 
     Edges whose middle would be off the map by more than ``chord_tolerance_mm`` are split, and so are all that are
-    longer than ``longest_edge_mm``.
+    longer than ``longest_edge_mm``. What is None is chosen from the anatomy.
 
     Raises
     ------
@@ -450,13 +450,13 @@ class SurfaceSettings:
     """
 
     refine: bool = False
-    chord_tolerance_mm: float = 0.02
-    longest_edge_mm: float = 3.0
+    chord_tolerance_mm: float | None = None
+    longest_edge_mm: float | None = None
 
     def __post_init__(self) -> None:
         for key in ("chord_tolerance_mm", "longest_edge_mm"):
             value = getattr(self, key)
-            if not 0.0 < value < math.inf:
+            if value is not None and not 0.0 < value < math.inf:
                 raise RigError(f"surfaces.{key}: found {value}; expected a finite length above 0, in mm")
 
 
@@ -490,7 +490,7 @@ class TetSettings:
         A fraction that is not between 0 and 1, a length that is not positive and finite, or a negative joint space.
     """
 
-    enabled: bool = True
+    enabled: bool = False
     edge_length_fraction: float = 0.03
     envelope_fraction: float = 7e-4
     edge_length_mm: tuple[tuple[str, float], ...] = ()

@@ -102,6 +102,14 @@ def test_no_tets_wins_over_the_rig(rig: Path, out: Path) -> None:
     assert "tets.vtu" not in files_in(out)
 
 
+def test_tets_are_made_when_asked_for_and_not_otherwise(rig: Path, out: Path) -> None:
+    rig.write_text(rig.read_text().replace("enabled = false\n", ""))
+    main(["run", str(rig), "--out", str(out), "--quiet"])
+    assert read(out)["mesh"] is None
+    main(["run", str(rig), "--out", str(out), "--quiet", "--tets"])
+    assert read(out)["mesh"]["tets"] > 100
+
+
 def test_a_limit_that_fails_gives_1_and_the_report(rig: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(rig), "--out", str(out), "--set", "limits.muscle_volume_percent=0.001"]) == 1
     told = capsys.readouterr().out
@@ -359,7 +367,7 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ((), ("demo", "run", "check", "warp-image", "Exit code 0")),
         (("demo",), ("--out", "--no-tets", "--quiet", "--json", "elbow 75")),
-        (("run",), ("RIG", "upper_limb", "--out", "--backend", "--set", "--no-tets", "--quiet", "--json")),
+        (("run",), ("RIG", "upper_limb", "--out", "--backend", "--set", "--tets", "--no-tets", "--quiet", "--json")),
         (("check",), ("PATHS", "--out", "--units", "mm, cm, m", "--kind", "--quiet", "--json")),
     ],
 )

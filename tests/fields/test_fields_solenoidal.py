@@ -118,6 +118,7 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
     rng = np.random.default_rng(int(scale * 1000))
     centres, halves = rng.uniform(-20.0, 20.0, (150, 3)), scale * rng.uniform(0.1, 1.0, (150, 3))
     gradients, radii = field.gradient_bounds(centres, halves)
+    sums, spread = field.gradient_and_spread(centres, halves)
     ranges, _ = field.strain_bounds(centres, halves, enough=(np.inf, -np.inf))
     quick, _ = field.strain_bounds(centres, halves, enough=(-np.inf, np.inf))
     values, off = field.displacement_bounds(centres, halves)
@@ -129,12 +130,15 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
         apart = np.linalg.norm(slopes - gradients[box], ord=2, axis=(1, 2)).max()
         strains = np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))
         assert apart <= radii[box]
+        assert np.linalg.norm(slopes - sums[box], axis=(1, 2)).max() <= spread[box]
         assert ranges[box, 0] <= strains.min()
         assert strains.max() <= ranges[box, 1]
         assert quick[box, 0] <= strains.min()
         assert strains.max() <= quick[box, 1]
         assert (np.abs(moved - values[box]) <= off[box]).all()
         tight.append(np.ptp(strains) / np.ptp(ranges[box]))
+    np.testing.assert_allclose(sums, gradients, rtol=0, atol=1e-9)
+    assert np.median(spread / radii) < 6.0  # it is quick, and no more than some times as wide
     assert np.mean(tight) > {1e-3: 0.9, 0.5: 0.7, 3.0: 0.3, 8.0: 0.01}[scale]
 
 
@@ -146,15 +150,22 @@ def test_nothing_escapes_the_ceilings(scale):
     centres = np.vstack([rng.uniform(-25.0, 25.0, (200, 3)), 2.0 * rng.integers(-9, 9, (200, 3))])
     halves = np.vstack([scale * rng.uniform(0.1, 1.0, (200, 3)), np.full((200, 3), 2.0 * np.ceil(scale))])
     ceilings = field.ceilings(centres, halves)
-    used = 0.0
+    used, bent = 0.0, 0.0
     for box in range(len(centres)):
         inside = rng.uniform(-1.0, 1.0, (200, 3))
-        slopes = field.gradient(centres[box] + halves[box] * np.sign(inside) * np.abs(inside) ** 0.3)
+        places = centres[box] + halves[box] * np.sign(inside) * np.abs(inside) ** 0.3
+        slopes = field.gradient(places)
+        bends = np.linalg.norm(slopes[::2] - slopes[1::2], axis=(1, 2)) / np.linalg.norm(
+            places[::2] - places[1::2], axis=1
+        )
+        assert bends.max() <= ceilings[box, 2] + 1e-12
+        bent = max(bent, bends.max() / max(ceilings[box, 2], 1e-300))
         strains = np.abs(np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))).max()
         assert np.linalg.norm(slopes, axis=(1, 2)).max() <= ceilings[box, 0]
         assert strains <= ceilings[box, 1]
         used = max(used, strains / max(ceilings[box, 1], 1e-300))
     assert used > 0.25
+    assert bent > 0.1
     away = field.ceilings(np.array([[200.0, 0.0, 0.0], [0.0, 0.0, -90.0]]), np.full((2, 3), 5.0))
     np.testing.assert_array_equal(away, 0.0)
 

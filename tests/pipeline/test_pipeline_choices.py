@@ -11,9 +11,9 @@ import trimesh
 from tiny_rigs import drive_by_joints, write_tiny_rig
 
 import musclefit
-from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.geometry.meshes import TriMesh
-from musclefit.pipeline.choices import bone_choices, bone_sizes, thickness
+from musclefit.pipeline.choices import CHORD, CHORDS, bone_choices, bone_sizes, surface_choices, thickness, tight_gap
 from musclefit.rig.job import Job
 
 
@@ -74,3 +74,53 @@ def test_what_the_rig_gives_stands_and_the_rest_says_why(job):
     assert all("mm thick" in why for why in whys)
     assert f"{sizes.typical_mm:.3g} mm thick" in whys[0]
     assert len(whys) == 2 + len(chosen.groups)
+
+
+@pytest.mark.parametrize("times", [0.1, 3.0])
+def test_edges_and_chords_grow_with_the_anatomy(job, times):
+    own, other = surface_choices(job), surface_choices(grown(job, times))
+    assert other.chord_mm == pytest.approx(times * own.chord_mm, rel=1e-6)
+    assert other.longest.near_mm == pytest.approx(times * own.longest.near_mm, rel=2e-3)
+    assert other.longest.most_mm == pytest.approx(4.0 * other.longest.near_mm)
+
+
+def slabs(gap: float) -> Anatomy:
+    """Two slabs, one above the other."""
+    box = trimesh.creation.box((20.0, 20.0, 2.0)).subdivide().subdivide().subdivide()
+    surface = TriMesh(np.array(box.vertices), np.array(box.faces))
+    above = surface.with_vertices(surface.vertices + np.array([0.0, 0.0, 2.0 + gap]))
+    return Anatomy(
+        (Tissue("muscle_below", TissueKind.MUSCLE, surface), Tissue("muscle_above", TissueKind.MUSCLE, above)), None
+    )
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.2, 0.9])
+def test_the_tight_gap_of_two_slabs_is_what_is_between_them(gap):
+    assert tight_gap(slabs(gap), within_mm=1.0) == pytest.approx(gap)
+
+
+def test_gaps_farther_than_what_is_looked_for_are_not_told_apart():
+    assert tight_gap(slabs(3.0), within_mm=1.0) == 1.0
+
+
+def test_the_chord_tolerance_follows_the_gaps(job):
+    size = bone_sizes(job.anatomy, job.motions).typical_mm
+    least, most = (bound * size for bound in CHORDS)
+    assert surface_choices(job).chord_mm == pytest.approx(most)  # the balls stand far apart
+    for gap in (1.2 * most, 0.1 * least):
+        more = tuple(
+            replace(t, surface=t.surface.with_vertices(0.1 * t.surface.vertices + 500.0)) for t in slabs(10.0 * gap)
+        )
+        crowded = replace(job, anatomy=Anatomy((*job.anatomy, *more), job.anatomy.frame))
+        assert surface_choices(crowded).chord_mm == pytest.approx(max(CHORD * gap, least))
+
+
+def test_what_the_rig_gives_of_surfaces_stands(job):
+    given = replace(job.rig, surfaces=replace(job.rig.surfaces, chord_tolerance_mm=0.3, longest_edge_mm=7.0))
+    chosen = surface_choices(replace(job, rig=given))
+    assert (chosen.chord_mm, chosen.longest.near_mm, chosen.longest.most_mm) == (0.3, 7.0, 7.0)
+    assert chosen.findings == ()
+    assert [f.subject for f in surface_choices(job).findings] == [
+        "surfaces.longest_edge_mm",
+        "surfaces.chord_tolerance_mm",
+    ]

@@ -11,7 +11,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.riding import PlainRiders, Riders
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points
-from musclefit.geometry.crossings import self_crossings
+from musclefit.geometry.crossings import TOUCHING_MM, self_crossings
 from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.subdivision import FaceEdges, longest_edges, split_edges, with_short_edges
@@ -20,13 +20,13 @@ from musclefit.progress import Progress, Silent, Tick
 MAX_ROUNDS = 16
 """Each round halves what is bent, and beside it what is longest: from 30 mm to a tenth of a millimetre in 8 to 16."""
 
-MAX_CROSSING_ROUNDS = 16
+MAX_CROSSING_ROUNDS = 24
 """Rounds in which triangles that come to cross each other are halved."""
 
 SHORTEST_SHARE = 0.1
 """Edges shorter than this share of the chord tolerance are not split for that: what crosses there are slivers."""
 
-PATIENCE, MULTIPLIED = 4, 8
+PATIENCE, MULTIPLIED = 8, 32
 """Halving is given up, and taken back to where the fewest triangles crossed, after so many rounds in a row that left no
 fewer than the round before, or where it left this many times the fewest."""
 
@@ -287,8 +287,9 @@ class _Refinement:
 
 
 def _crossing_pairs(work: _Work) -> Int:
-    """(p, 2) pairs of triangles of a tissue that cross after the map."""
-    return self_crossings(work.surface.with_vertices(work.moved)).pairs
+    """(p, 2) pairs of triangles of a tissue that cross after the map, by more than rounding."""
+    moved = work.surface.with_vertices(work.moved)
+    return self_crossings(moved).deeper(moved, than_mm=TOUCHING_MM)
 
 
 def _longest_of_crossing(work: _Work, pairs: Int, shortest_mm: float) -> tuple[FaceEdges, Bool]:

@@ -12,6 +12,10 @@ from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.topology import edges_of, merge_duplicate_vertices, repeats_a_vertex
 
+TOUCHING_MM = 1e-8
+"""Sheets that reach no farther through each other than this touch: a moved vertex is known no better, and an atom is
+ten times as large."""
+
 _SURELY_UNFOLDED = -0.5
 """Cosine at a common edge below which rounding cannot hide that two triangles lie on opposite sides of it, no unit."""
 
@@ -36,6 +40,17 @@ class Crossings:
 
     def __len__(self) -> int:
         return len(self.pairs)
+
+    def deeper(self, mesh: TriMesh, *, than_mm: float) -> Int:
+        """(q, 2) those pairs of triangles of one surface that reach farther than a length through each other.
+
+        A triangle reaches through the plane of another by what of it is on the side where less of it is; the lesser of
+        both ways counts. What merely touches, or lies on another triangle, does not reach through it.
+        """
+        first, second = mesh.corners()[self.pairs[:, 0]], mesh.corners()[self.pairs[:, 1]]
+        depths = np.minimum(_reach_through(first, second), _reach_through(second, first))
+        deep: Int = self.pairs[depths > than_mm]
+        return deep
 
 
 def self_crossings(mesh: TriMesh) -> Crossings:
@@ -81,6 +96,15 @@ def crossings_between(a: TriMesh, b: TriMesh) -> Crossings:
     )
     found = found.reshape(-1, 2)
     return _crossings(np.stack([whole_a[found[:, 0]], whole_b[found[:, 1]]], axis=1), coplanar, a, b)
+
+
+def _reach_through(planes: Float, triangles: Float) -> Float:
+    """(p,) how far (p, 3, 3) triangles reach through the planes of others, mm; infinite where these have no plane."""
+    normals = np.cross(planes[:, 1] - planes[:, 0], planes[:, 2] - planes[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    apart = np.einsum("pki,pi->pk", triangles - planes[:, :1], normals) / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    reach = np.minimum(np.maximum(apart.max(axis=1), 0.0), np.maximum(-apart.min(axis=1), 0.0))
+    return np.where(lengths > 0.0, reach, np.inf)
 
 
 def _folded_neighbours(vertices: Points, faces: Faces, whole: Int) -> Int:

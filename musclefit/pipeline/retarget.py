@@ -22,6 +22,7 @@ from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surfaces import Carried
 from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.crossings import TOUCHING_MM
 from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline.choices import bone_choices, surface_choices
@@ -44,7 +45,15 @@ from musclefit.rig.model import BoneLimit, Compared, MeshSettings, StepKind
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
-from musclefit.validate.model import BoneFieldCheck, BoneOverlap, MapCheck, MapClaim, MeshCheck, MeshRefinement
+from musclefit.validate.model import (
+    BoneFieldCheck,
+    BoneOverlap,
+    MapCheck,
+    MapClaim,
+    MeshCheck,
+    MeshRefinement,
+    OverlapCheck,
+)
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets, rest_findings
 from musclefit.validate.tissues import Motion, check_tissues
@@ -180,12 +189,13 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress, shared)
     of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
     kept = _kept_findings(made.deformed)
+    result = finish(made, method=method_in_words(job), stage="check result")
     return Retargeting(
         job=job,
         tets=tets,
-        result=finish(made, method=method_in_words(job), stage="check result"),
+        result=result,
         baseline=_one_shot(finish),
-        findings=(*job.findings, *_chosen(job), *unknown, *kept, *of_tets),
+        findings=(*job.findings, *_chosen(job), *unknown, *kept, *_touching(result.side.overlaps), *of_tets),
         joint_ranges=ranges,
         paper_loop=_papers_loop(finish),
     )
@@ -470,6 +480,19 @@ def _chosen(job: Job) -> tuple[Finding, ...]:
     """What the rig leaves open of rigid bones."""
     of_bones = bone_choices(job).findings if job.rig.bones.rigid else ()
     return (*of_bones, *surface_choices(job).findings) if job.rig.surfaces.refine else of_bones
+
+
+def _touching(overlaps: OverlapCheck) -> tuple[Finding, ...]:
+    """Tissues that come to touch themselves, which is no crossing."""
+    return tuple(
+        Finding(
+            name,
+            "touches-itself",
+            f"{name}: comes to touch itself: {count} pairs of its triangles reach into each other, but by no more than "
+            f"{TOUCHING_MM:g} mm, which is rounding",
+        )
+        for name, count in overlaps.touching
+    )
 
 
 def _kept_findings(deformed: Deformed) -> tuple[Finding, ...]:

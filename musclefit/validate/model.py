@@ -225,13 +225,15 @@ class OverlapCheck:
     """All overlapping pairs, largest first, and what could not be checked.
 
     ``bones`` is what bones share by their rigid motions alone: known before the deformation, no part of what it
-    introduces.
+    introduces. ``touching`` names the tissues that come to touch themselves to within rounding, with the number of
+    pairs of triangles.
     """
 
     pairs: tuple[PairOverlap, ...]
     pairs_tested: int
     not_checked: tuple[NotChecked, ...]
     bones: tuple[BoneOverlap, ...] = ()
+    touching: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

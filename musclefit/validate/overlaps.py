@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.crossings import self_crossings
+from musclefit.geometry.crossings import TOUCHING_MM, self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import (
     ROUNDING_MM3,
@@ -123,7 +123,7 @@ def check_overlaps(
         A tissue that is wholly inside another at rest introduces nothing: it cannot overlap it more.
         ``not_checked`` also names each tissue that crosses itself deformed and did not at rest: its pairs are listed,
         but where it is inside out its overlaps count negative and may cancel. (Tissues that cross themselves at rest
-        are the reader's findings.)
+        are the reader's findings.) What reaches no farther through itself than `TOUCHING_MM` is in ``touching``.
 
     Raises
     ------
@@ -142,15 +142,17 @@ def check_overlaps(
         for (a, b), v in known.items()
         if max(v.rest, v.deformed) > ROUNDING_MM3
     ]
+    crossing, touching = _newly_crossing(before, after, solid, progress=progress)
     return OverlapCheck(
         pairs=_largest_first(pairs),
         pairs_tested=len(solid) * (len(solid) - 1) // 2 - len(near) + len(known),
         not_checked=(
             *_refusals(names, (before, "at rest"), (after, "deformed")),
-            *_newly_crossing(before, after, solid, progress=progress),
+            *crossing,
             *failed,
         ),
         bones=tuple(by_motions),
+        touching=touching,
     )
 
 
@@ -302,22 +304,27 @@ def _volumes(
 
 def _newly_crossing(
     before: SolidAnatomy, after: SolidAnatomy, names: Sequence[str], *, progress: Progress
-) -> tuple[NotChecked, ...]:
-    """Tissues whose surface crosses itself deformed, but not at rest."""
-    found = []
+) -> tuple[tuple[NotChecked, ...], tuple[tuple[str, int], ...]]:
+    """Tissues whose surface crosses itself deformed, but not at rest; and those that touch themselves."""
+    found, touching = [], []
     with progress.stage("tissues that cross themselves") as tick:
         for number, name in enumerate(names):
-            count = len(self_crossings(after.anatomy[name].surface))
-            if count and not len(self_crossings(before.anatomy[name].surface)):
-                found.append(
-                    NotChecked(
-                        name,
-                        f"deformed: crosses itself at {count} pairs of triangles, and did not at rest; where it is "
-                        "inside out its overlaps count negative and may cancel",
+            surface = after.anatomy[name].surface
+            crossings = self_crossings(surface)
+            if len(crossings) and not len(self_crossings(before.anatomy[name].surface)):
+                count = len(crossings.deeper(surface, than_mm=TOUCHING_MM))
+                if count:
+                    found.append(
+                        NotChecked(
+                            name,
+                            f"deformed: crosses itself at {count} pairs of triangles, and did not at rest; where it is "
+                            "inside out its overlaps count negative and may cancel",
+                        )
                     )
-                )
+                if len(crossings) > count:
+                    touching.append((name, len(crossings) - count))
             tick((number + 1) / len(names))
-    return tuple(found)
+    return tuple(found), tuple(touching)
 
 
 def _solid(anatomy: Anatomy | SolidAnatomy, progress: Progress) -> SolidAnatomy:

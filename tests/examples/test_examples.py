@@ -19,7 +19,7 @@ STARTED_ONLY = {
     "fig6_child_adult.py": "--out",
     "forearm_backends.py": "--no-certificate",
 }
-STARTED_ONLY |= {"fig8_forearm_motion.py": "--frames", "fig9_jump.py": "--workers"}
+STARTED_ONLY |= {"regions.py": "--prepare-only", "fig8_forearm_motion.py": "--frames", "fig9_jump.py": "--workers"}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
 
 

@@ -156,3 +156,22 @@ def test_empty_surfaces_do_not_cross():
     empty = TriMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     assert len(crossings_between(empty, _sphere())) == 0
     assert len(self_crossings(empty)) == 0
+
+
+@pytest.mark.parametrize("depth", [1e-13, 1e-9, 1e-5, 0.1])
+def test_what_reaches_through_by_no_more_than_a_length_is_told_from_what_crosses(depth: float) -> None:
+    # A spike whose tip reaches through a plate by the depth.
+    plate = [[-1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [-1.0, 3.0, 0.0]]
+    spike = [[0.0, 0.0, -depth], [0.2, 0.0, 1.0], [0.0, 0.2, 1.0]]
+    mesh = TriMesh(np.array(plate + spike), np.array([[0, 1, 2], [3, 4, 5]]))
+    found = self_crossings(mesh)
+    assert len(found) == 1
+    assert len(found.deeper(mesh, than_mm=1e-8)) == (depth > 1e-8)
+
+
+def test_a_needle_through_a_plate_crosses_however_thin_it_is() -> None:
+    plate = [[-1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [-1.0, 3.0, 0.0]]
+    needle = [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [1e-12, 0.0, 1.0]]
+    mesh = TriMesh(np.array(plate + needle), np.array([[0, 1, 2], [3, 4, 5]]))
+    found = self_crossings(mesh)
+    assert len(found) == len(found.deeper(mesh, than_mm=1e-8)) == 1

@@ -55,6 +55,10 @@ TIGHT, LOOKED_AT = 0.05, 400
 """Vertices of each tissue that gaps are measured at, at most."""
 
 
+LOCKED_ITERATIONS, FREE_ITERATIONS = 15, 40
+"""Of least squares, with locks and without: these make up for what the field leaves."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class SurfaceChoices:
     """How finely surfaces are cut, given or chosen.
@@ -82,6 +86,7 @@ class BoneChoices:
         Bones that move as one.
     handle_spacing_mm, sampled_mm : float
     lattices_mm : tuple of float
+    iterations : int
     locks : tuple of LockSettings
         Of each group.
     zones_mm : (K, K) float64
@@ -94,6 +99,7 @@ class BoneChoices:
     handle_spacing_mm: float
     sampled_mm: float
     lattices_mm: tuple[float, ...]
+    iterations: int
     locks: tuple[LockSettings, ...]
     zones_mm: Float
     findings: tuple[Finding, ...]
@@ -152,8 +158,14 @@ def bone_choices(job: Job) -> BoneChoices:
             _chosen("bones.contact_zone_mm", f"{lock.zone_mm:.3g} mm", f"{bone} is {thickness:.3g} mm thick")
             for lock, (bone, thickness) in zip(locks, sizes.thinnest, strict=True)
         ]
+    iterations = given.iterations
+    if iterations is None:
+        iterations = LOCKED_ITERATIONS if given.lock else FREE_ITERATIONS
+        findings.append(
+            _chosen("bones.iterations", f"{iterations}", f"bones are {'locked' if given.lock else 'not locked'}")
+        )
     samples = (LOCKED_SAMPLES if given.lock else SAMPLES) * size
-    return BoneChoices(sizes.groups, spacing, samples, lattices, locks, zones, tuple(findings))
+    return BoneChoices(sizes.groups, spacing, samples, lattices, iterations, locks, zones, tuple(findings))
 
 
 @lru_cache(maxsize=2)

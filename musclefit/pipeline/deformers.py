@@ -272,7 +272,7 @@ def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
         motions=job.motions,
         exact=len(job.handles),
         lattices_mm=chosen.lattices_mm,
-        iterations=bones.iterations,
+        iterations=chosen.iterations,
         locks=_locks(job.anatomy, groups, chosen.locks, progress) if bones.lock else None,
     )
 

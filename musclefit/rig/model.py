@@ -387,7 +387,7 @@ class DeformerSettings:
 class BoneSettings:
     """Whether bones are moved by their rigid motions and the field brought to agree with them, and how.
 
-    Lengths that are None are chosen from the sizes of the bones (`musclefit.pipeline.choices`).
+    Lengths and numbers that are None are chosen from the sizes of the bones (`musclefit.pipeline.choices`).
     ``handle_spacing_mm`` is how far apart the handles are that are spread over the bones beside the rig's landmarks.
     ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones,
     ``kept_lattices_mm`` those of the corrections that hold kept ones, wide to narrow. Places of a bone that come closer
@@ -407,7 +407,7 @@ class BoneSettings:
     rigid: bool = False
     handle_spacing_mm: float | None = None
     lattices_mm: tuple[float, ...] | None = None
-    iterations: int = 15
+    iterations: int | None = None
     kept_lattices_mm: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
     contact_zone_mm: float | None = None
     lock: bool = False
@@ -415,7 +415,8 @@ class BoneSettings:
     keep_similar: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _at_least_one("bones.iterations", self.iterations)
+        if self.iterations is not None:
+            _at_least_one("bones.iterations", self.iterations)
         if self.rigid and (self.keep_rigid or self.keep_similar):
             raise RigError(
                 "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones already; "

@@ -349,6 +349,8 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         return section.numbers(key)
     if hint == float | None:
         return section.number(key)
+    if hint == int | None:
+        return section.whole(key)
     if issubclass(hint, StrEnum):
         return section.choice(key, hint)
     readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}

@@ -67,10 +67,10 @@ def test_what_the_rig_gives_stands_and_the_rest_says_why(job):
     chosen = bone_choices(replace(job, rig=given))
     assert chosen.handle_spacing_mm == 9.0
     assert (chosen.zones_mm == 2.0).all()
-    assert [finding.subject for finding in chosen.findings] == ["bones.lattices_mm"]
+    assert [finding.subject for finding in chosen.findings] == ["bones.lattices_mm", "bones.iterations"]
     assert all(lock.zone_mm == pytest.approx(2.0) for lock in chosen.locks)
     sizes = bone_sizes(job.anatomy, job.motions)
-    whys = [finding.message for finding in bone_choices(job).findings]
+    whys = [finding.message for finding in bone_choices(job).findings if finding.subject != "bones.iterations"]
     assert all("mm thick" in why for why in whys)
     assert f"{sizes.typical_mm:.3g} mm thick" in whys[0]
     assert len(whys) == 2 + len(chosen.groups)
@@ -124,3 +124,11 @@ def test_what_the_rig_gives_of_surfaces_stands(job):
         "surfaces.longest_edge_mm",
         "surfaces.chord_tolerance_mm",
     ]
+
+
+@pytest.mark.parametrize(("lock", "iterations"), [(True, 15), (False, 40)])
+def test_bones_that_are_not_locked_are_fitted_longer(job, lock, iterations):
+    rig = replace(job.rig, bones=replace(job.rig.bones, lock=lock))
+    assert bone_choices(replace(job, rig=rig)).iterations == iterations
+    given = replace(rig, bones=replace(rig.bones, iterations=7))
+    assert bone_choices(replace(job, rig=given)).iterations == 7

@@ -275,9 +275,9 @@ def test_methods_speak_of_keys_that_exist_and_agree_with_themselves() -> None:
     [
         ("upper_limb", "rigid-bones"),
         ("forearm", "yu2014"),
-        ("forearm_rigid", "own"),
-        ("forearm_motion", "own"),
-        ("leg_jump", "own"),
+        ("forearm_rigid", "rigid-bones"),
+        ("forearm_motion", "rigid-bones"),
+        ("leg_jump", "rigid-bones"),
     ],
 )
 def test_rigs_that_come_along_say_how_they_deform(rig: str, method: str) -> None:

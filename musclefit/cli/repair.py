@@ -19,7 +19,7 @@ from musclefit.rig.model import Unit
 
 if TYPE_CHECKING:
     from musclefit.anatomy.repairs import Repaired
-    from musclefit.anatomy.resolving import Resolved
+    from musclefit.anatomy.resolutions import Resolved
     from musclefit.report.repairs import RepairReport
 
 PASSED, FAILED = 0, 1
@@ -75,7 +75,7 @@ def repair(
 ) -> int:
     """Close holes, take out doubled, flipped and crossing faces, strays and overlaps; say each change with numbers."""
     from musclefit.anatomy.repairs import RepairSettings
-    from musclefit.anatomy.resolving import Rule
+    from musclefit.anatomy.resolutions import Rule
     from musclefit.cli.kinds import parse_kinds
     from musclefit.io.provenance import measured
     from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repair

@@ -9,7 +9,7 @@ from typing import Any
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.repairs import Change, Deviation, Repaired, RepairSettings
-from musclefit.anatomy.resolving import PairResolution, Resolved, Rule, TissueCut
+from musclefit.anatomy.resolutions import Choice, PairResolution, Resolved, Rule, TissueCut
 from musclefit.geometry.faults import Faults
 from musclefit.report import next_steps
 from musclefit.report.model import SCHEMA_VERSION, Verdict, verdict_of
@@ -26,6 +26,7 @@ class RepairReport:
     title : str
     settings : RepairSettings
     rule : Rule
+    choice : Choice
     surfaces : tuple of Repaired
     findings : tuple of Finding
         From reading the files.
@@ -38,6 +39,7 @@ class RepairReport:
     title: str
     settings: RepairSettings
     rule: Rule
+    choice: Choice
     surfaces: tuple[Repaired, ...]
     findings: tuple[Finding, ...]
     resolved: Resolved | None

@@ -101,7 +101,9 @@ class Chooser:
         why += f"{100.0 * lost[winner]:.3g} %"
         if fails[winner] and lost[winner] < lost[loser]:
             apart = len(self._whole_pieces(winner, cut[winner])) > self._pieces[winner]
-            why += " and fall apart" if apart else f" and come to more than {self._settings.max_change_percent:g} % in all"
+            why += (
+                " and fall apart" if apart else f" and come to more than {self._settings.max_change_percent:g} % in all"
+            )
         return Decision(overlap, winner, loser, why)
 
     def _fails(self, name: str, solid: Any) -> bool:

@@ -18,7 +18,7 @@ SMOOTH = 0.1
 RELAX = 0.25
 """How far a vertex may be moved where triangles of a cut surface cross, in clearances."""
 
-SLIVER = 0.1
+SLIVER, SLIVER_MOVED = 0.1, 0.25
 """Height below which a triangle is a sliver, and how far a place may move for it to go, in clearances."""
 
 WALL_ROUNDS = 3
@@ -64,7 +64,8 @@ def finished(cut: TriMesh, log: Log, *, settings: RepairSettings) -> TriMesh:
     if not len(mesh.faces):
         return mesh
     mesh = without_thin_walls(mesh, log, settings=settings)
-    done = without_slivers(mesh, least_mm=SLIVER * settings.clearance_mm, most_mm=SLIVER * settings.clearance_mm)
+    least, most = SLIVER * settings.clearance_mm, SLIVER_MOVED * settings.clearance_mm
+    done = without_slivers(mesh, least_mm=least, most_mm=most)
     log.slivers += done.slivers - done.left
     log.moved_mm = max(log.moved_mm, done.moved_mm)
     return done.mesh

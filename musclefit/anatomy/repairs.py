@@ -144,6 +144,8 @@ class Repaired:
     deviation : Deviation
     volume_before_mm3, volume_after_mm3 : float
         Of an open surface, what its faces enclose with the origin of their middle.
+    pieces_before, pieces_after : int
+        Strays left out; before, hollows count, as a surface that bounds no solid does not tell them from bodies.
     limit_mm : float
     """
 
@@ -156,6 +158,8 @@ class Repaired:
     deviation: Deviation
     volume_before_mm3: float
     volume_after_mm3: float
+    pieces_before: int
+    pieces_after: int
     limit_mm: float
 
     @property

@@ -11,17 +11,17 @@ the others and is left alone.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import igl
 import numpy as np
 
-from musclefit.anatomy.choosing import Chooser, Decision, Overlap
+from musclefit.anatomy.choosing import Chooser, Overlap
 from musclefit.anatomy.finishing import SLIVER, SMOOTH, Log, finished, without_thin_walls
 from musclefit.anatomy.midsurfaces import halves, own_sides
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.anatomy.repair import whole_pieces
 from musclefit.anatomy.repairs import RepairSettings
 from musclefit.anatomy.resolutions import Choice, Gap, PairResolution, Resolved, Rule, ThinTissue, TissueCut
 from musclefit.errors import InputError
@@ -34,7 +34,7 @@ from musclefit.geometry.gaps import smallest_gap
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.solids import ROUNDING_MM3, Solid, candidate_pairs
 from musclefit.geometry.thin_walls import thin_places
-from musclefit.geometry.topology import closed_components, nested_pieces
+from musclefit.geometry.topology import closed_components
 from musclefit.geometry.volumes import enclosed_volume
 from musclefit.progress import Progress
 
@@ -126,7 +126,9 @@ class _Tissues:
             Gap(a, b, smallest_gap(self.solid(a), self.solid(b), within_mm=below_mm))
             for a, b in self.near(within_mm=below_mm, changed=changed)
         ]
-        return tuple(sorted((gap for gap in found if np.isfinite(gap.gap_mm)), key=lambda gap: (gap.gap_mm, gap.a, gap.b)))
+        return tuple(
+            sorted((gap for gap in found if np.isfinite(gap.gap_mm)), key=lambda gap: (gap.gap_mm, gap.a, gap.b))
+        )
 
 
 def resolved(
@@ -180,12 +182,6 @@ def resolved(
         tissues.gaps(below_mm=settings.clearance_mm, changed=given),
         _thin(tissues.now, width_mm=settings.wall_mm),
     )
-
-
-def whole_pieces(mesh: TriMesh, settings: RepairSettings) -> int:
-    """Closed pieces of a surface that bounds a solid, hollows and strays left out."""
-    volumes = nested_pieces(mesh).volumes
-    return int((volumes > 0.01 * settings.stray_percent * volumes.sum()).sum())
 
 
 def _planned(

@@ -20,14 +20,12 @@ LEAST_COSINE = 0.3
 SHRINKS = 8
 """How often growth is halved where it makes triangles cross, before it is left out there."""
 
+PAD_SMOOTH = 0.1
+"""How far the surface around padded triangles may move for the slivers of their union to go, in distances."""
+
 _GOLDEN = 0.5 * (1.0 + 5.0**0.5)
 _CORNERS = np.array(
-    [
-        np.roll([0.0, one, other], axis)
-        for axis in range(3)
-        for one in (-1.0, 1.0)
-        for other in (-_GOLDEN, _GOLDEN)
-    ]
+    [np.roll([0.0, one, other], axis) for axis in range(3) for one in (-1.0, 1.0) for other in (-_GOLDEN, _GOLDEN)]
 )
 AROUND = _CORNERS * (3.0**0.5 / _GOLDEN**2)
 """(12, 3) corners of an icosahedron around the unit ball."""
@@ -96,10 +94,11 @@ def padded(mesh: TriMesh, faces: Int, *, distance_mm: float) -> TriMesh:
     mesh : TriMesh
     faces : (k,) int64
     distance_mm : float
-        Kept everywhere; exceeded by at most 26 %, at the corners of the icosahedra that stand for balls.
+        Kept everywhere; exceeded by at most half, at the corners of the icosahedra that stand for balls.
     """
-    hulls = padded_one_by_one(mesh, faces, distance_mm=distance_mm)
-    return as_mesh(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))
+    hulls = padded_one_by_one(mesh, faces, distance_mm=(1.0 + PAD_SMOOTH) * distance_mm)
+    whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
+    return as_mesh(whole.simplify(PAD_SMOOTH * distance_mm))
 
 
 def padded_one_by_one(mesh: TriMesh, faces: Int, *, distance_mm: float) -> list[Any]:

@@ -15,9 +15,9 @@ import numpy as np
 from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.uncrossing import compacted
+from musclefit.geometry.uncrossing import compacted, grown
 
-ATTEMPTS = 8
+ATTEMPTS = 12
 """How often the work is done anew, with the vertices left alone around which it would make triangles cross."""
 
 FEWEST_FACES = 12
@@ -84,7 +84,7 @@ def without_slivers(mesh: TriMesh, *, least_mm: float, most_mm: float, alone: Bo
         return Unslivered(mesh, 0, 0, 0.0)
     kept = np.zeros(len(mesh.vertices), dtype=bool) if alone is None else alone.copy()
     known = len(self_crossings(mesh))
-    for _ in range(ATTEMPTS):
+    for attempt in range(ATTEMPTS):
         work = _Work(mesh, kept, least_mm=least_mm, most_mm=most_mm)
         work.run()
         vertices, faces = work.result()
@@ -92,10 +92,10 @@ def without_slivers(mesh: TriMesh, *, least_mm: float, most_mm: float, alone: Bo
         if len(found) <= known:
             done = compacted(TriMesh(vertices, faces))
             return Unslivered(done, before, int((heights(done) < least_mm).sum()), work.moved_mm)
-        around = np.unique(faces[found.pairs.ravel()])
-        near = np.isin(faces, around).any(axis=1)
+        near = np.zeros(len(faces), dtype=bool)
+        near[found.pairs.ravel()] = True
         crossed = np.zeros(len(kept), dtype=bool)
-        crossed[np.unique(faces[near])] = True
+        crossed[faces[grown(faces, near, rings=attempt // 4)]] = True
         kept |= crossed[work.merged_into()]  # with the vertices that went into those
     return Unslivered(mesh, before, before, 0.0)
 
@@ -246,7 +246,7 @@ class _Work:
 
     def _face(self, number: int) -> tuple[int, int, int]:
         face = self._faces[number]
-        assert face is not None  # noqa: S101 (faces around a vertex are there)
+        assert face is not None
         return face
 
     def _ring(self, v: int) -> set[int]:

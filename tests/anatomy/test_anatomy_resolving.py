@@ -9,7 +9,8 @@ from planted import ball, box
 from musclefit.anatomy.midsurfaces import halves, own_sides
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repairs import RepairSettings
-from musclefit.anatomy.resolving import CLEARANCE_MM, Rule, goes_before, resolved
+from musclefit.anatomy.resolutions import Rule
+from musclefit.anatomy.resolving import resolved
 from musclefit.errors import InputError
 from musclefit.geometry.booleans import padded, shared, united
 from musclefit.geometry.crossings import crossings_between

@@ -101,9 +101,8 @@ class Chooser:
         why += f"{100.0 * lost[winner]:.3g} %"
         if fails[winner] and lost[winner] < lost[loser]:
             apart = len(self._whole_pieces(winner, cut[winner])) > self._pieces[winner]
-            why += (
-                " and fall apart" if apart else f" and come to more than {self._settings.max_change_percent:g} % in all"
-            )
+            most = f"{self._settings.max_change_percent:g} %"
+            why += " and fall apart" if apart else f" and come to more than {most} in all"
         return Decision(overlap, winner, loser, why)
 
     def _fails(self, name: str, solid: Any) -> bool:
@@ -113,8 +112,9 @@ class Chooser:
         return apart or 100.0 * change > self._settings.max_change_percent
 
     def _kept(self, name: str, solid: Any) -> float:
-        """Volume of the largest pieces, as many as there were, mm³."""
-        return sum(sorted(self._whole_pieces(name, solid), reverse=True)[: self._pieces[name]])
+        """Volume of the largest pieces, as many as there were, less hollows and other pieces, mm³."""
+        apart = sorted(self._whole_pieces(name, solid), reverse=True)[self._pieces[name] :]
+        return float(solid.volume()) - sum(apart)
 
     def _whole_pieces(self, name: str, solid: Any) -> list[float]:
         """Volumes of a solid's pieces, hollows and strays left out."""

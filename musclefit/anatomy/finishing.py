@@ -28,6 +28,10 @@ MOST_WALL_PERCENT = 1.0
 """Of a tissue's volume: where its thin places make up more, it is thin by nature and left as it is."""
 
 
+MOST_TRIANGLES = 4000
+"""Thin triangles of a tissue that are cut out at most, each with its surroundings: some 5 s of work."""
+
+
 @dataclass(slots=True)
 class Log:
     """What was tidied of one tissue, in one sum for thin places and one for slivers."""
@@ -76,7 +80,8 @@ def without_thin_walls(mesh: TriMesh, log: Log, *, settings: RepairSettings) -> 
     start = enclosed_volume(mesh)
     for _ in range(WALL_ROUNDS):
         found = thin_places(mesh, width_mm=settings.wall_mm)
-        if not found.thin.any():
+        by_nature = 0.5 * found.area_mm2 * settings.wall_mm > 0.01 * MOST_WALL_PERCENT * start
+        if not found.thin.any() or by_nature or len(found.covering().faces) > MOST_TRIANGLES:
             break
         smooth = SMOOTH * settings.clearance_mm
         left = without_thin_places(mesh, found, width_mm=settings.wall_mm, smooth_within_mm=smooth)

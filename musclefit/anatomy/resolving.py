@@ -162,7 +162,7 @@ def resolved(
         for winner in sorted({winner for plan in planned.plans.values() for winner in plan.winners})
     }
     with progress.stage("cuts") as tick:
-        for done, (name, plan) in enumerate(planned.plans.items(), start=1):
+        for done, name in enumerate(planned.plans, start=1):
             work[name].clearance_mm = distance
             _cut(tissues, name, _tools(given, name, planned.plans, grown), work[name].log, settings=settings)
             tick(done / len(planned.plans))
@@ -209,7 +209,8 @@ def _planned(
                 split = _Split(sides, common, CUT * settings.clearance_mm)
                 plans[a.name].splits.append((split, 0))
                 plans[b.name].splits.append((split, 1))
-                lost = _volume_in(common, split.tool(0))
+                # what lies within the clearance of the middle, both lose: half of it is said of each
+                lost = 0.5 * (volume + _volume_in(common, split.tool(0)) - _volume_in(common, split.tool(1)))
                 pairs.append(PairResolution(a.name, b.name, SPLIT_WORDS, volume, lost, volume - lost))
             else:
                 overlaps.append(Overlap(one, other, volume))
@@ -266,7 +267,7 @@ def _make_room(
 
 
 def _tool_at(winner: TriMesh, loser: TriMesh, distance_mm: float) -> TriMesh:
-    """What to take from the loser: the surroundings of the winner's triangles near it; all where none is, but inside."""
+    """What to take from the loser: the surroundings of the winner's triangles near it, or all where one is inside."""
     faces = faces_near(winner, loser, within_mm=distance_mm)
     return padded(winner, faces, distance_mm=distance_mm) if len(faces) else grown_by(winner, distance_mm=distance_mm)
 

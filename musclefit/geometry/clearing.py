@@ -46,4 +46,5 @@ def _candidates(mesh: TriMesh, other: TriMesh, within_mm: float) -> Int:
         return faces
     middles = corners[faces].mean(axis=1)
     radii = np.linalg.norm(corners[faces] - middles[:, None], axis=2).max(axis=1)
-    return faces[nearest_places(middles, other).distances <= radii + within_mm]
+    kept: Int = faces[nearest_places(middles, other).distances <= radii + within_mm]
+    return kept

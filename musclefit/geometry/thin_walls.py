@@ -36,12 +36,15 @@ class ThinPlaces:
 
     Parameters
     ----------
+    whole : TriMesh
+        The triangles that were looked at: those with another part of the surface near that faces away.
     mesh : TriMesh
-        The triangles that were looked at, cut small: those with another part of the surface near that faces away.
+        The same, cut small.
     wall, slot : (f,) bool
-        Which of them have another side too near: through the inside, through the outside.
+        Which of the small ones have another side too near: through the inside, through the outside.
     """
 
+    whole: TriMesh
     mesh: TriMesh
     wall: Bool
     slot: Bool
@@ -57,6 +60,17 @@ class ThinPlaces:
         """Area of the thin triangles; of a thin wall both sides count."""
         return float(np.linalg.norm(area_vectors(self.mesh), axis=1)[self.thin].sum())
 
+    def covering(self) -> TriMesh:
+        """Few triangles that make up the thin ones: whole ones where all their parts are thin."""
+        if not self.thin.any():
+            return TriMesh(self.mesh.vertices, self.mesh.faces[:0])
+        parent = nearest_places(self.mesh.corners().mean(axis=1), self.whole).faces
+        all_thin = np.ones(len(self.whole.faces), dtype=bool)
+        all_thin[parent[~self.thin]] = False
+        all_thin[np.setdiff1d(np.arange(len(all_thin)), parent)] = False
+        parts = self.mesh.faces[self.thin & ~all_thin[parent]]
+        return TriMesh(self.mesh.vertices, np.concatenate([self.whole.faces[all_thin], parts]))
+
 
 def thin_places(mesh: TriMesh, *, width_mm: float) -> ThinPlaces:
     """Where a closed surface is closer to itself than a width, at the middles of triangles of a stated size.
@@ -68,15 +82,17 @@ def thin_places(mesh: TriMesh, *, width_mm: float) -> ThinPlaces:
     width_mm : float
     """
     opposed = _opposed(mesh, within_mm=width_mm)
-    looked = with_short_edges(compacted(TriMesh(mesh.vertices, mesh.faces[opposed])), longest_mm=SPACING_MM)
+    whole = compacted(TriMesh(mesh.vertices, mesh.faces[opposed]))
+    looked = with_short_edges(whole, longest_mm=SPACING_MM)  # its first vertices are those of the whole
     middles, normals = looked.corners().mean(axis=1), _unit_normals(looked)
     wall, slot = (_reached_into(mesh, middles, normals, side * 0.5 * width_mm) for side in (-1.0, 1.0))
-    return ThinPlaces(looked, wall, slot)
+    return ThinPlaces(whole, looked, wall, slot)
 
 
 def without_thin_places(mesh: TriMesh, found: ThinPlaces, *, width_mm: float, smooth_within_mm: float) -> TriMesh:
     """The surface less all within about a width of the thin triangles, on either side."""
-    tool = padded(found.mesh, np.flatnonzero(found.thin), distance_mm=width_mm)
+    cover = found.covering()
+    tool = padded(cover, np.arange(len(cover.faces)), distance_mm=width_mm)
     return difference(mesh, [tool], smooth_within_mm=smooth_within_mm)
 
 
@@ -103,7 +119,7 @@ def _unit_normals(mesh: TriMesh) -> Points:
 
 
 def _reached_into(mesh: TriMesh, middles: Points, normals: Points, step_mm: float) -> Bool:
-    """(k,) whether a side that faces away reaches into the ball of a radius around the place a step along the normal."""
+    """(k,) whether a side that faces away reaches into the ball that is centred a step along the normal."""
     if not len(middles):
         return np.zeros(0, dtype=bool)
     found = nearest_places(middles + step_mm * normals, mesh)

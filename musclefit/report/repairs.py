@@ -19,7 +19,7 @@ from musclefit.validate.model import Check, OverlapCheck
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One tissue from its file to the end: volumes, mm³, and pieces."""
+    """One tissue from its file to the end: volumes, mm³, what its pieces share counted once, and pieces."""
 
     name: str
     volume_before_mm3: float
@@ -35,10 +35,8 @@ class Outcome:
 
     def said(self) -> str:
         """The tissue with what it lost or gained, and its pieces."""
-        return (
-            f"{self.name}: {self.volume_before_mm3:.5g} to {self.volume_after_mm3:.5g} mm³, {self.change_percent:+.1f} %; "
-            f"{self.pieces_before} to {self.pieces_after} pieces"
-        )
+        volumes = f"{self.volume_before_mm3:.5g} to {self.volume_after_mm3:.5g} mm³, {self.change_percent:+.1f} %"
+        return f"{self.name}: {volumes}; {self.pieces_before} to {self.pieces_after} pieces"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,7 +76,13 @@ class RepairReport:
         cuts = {cut.name: cut for cut in self.resolved.cuts} if self.resolved else {}
         ends = [(one, cuts.get(one.name, one)) for one in self.surfaces]
         return tuple(
-            Outcome(one.name, one.volume_before_mm3, end.volume_after_mm3, one.pieces_before, end.pieces_after)
+            Outcome(
+                one.name,
+                one.volume_before_mm3 - _counted_twice(one),
+                end.volume_after_mm3,
+                one.pieces_before,
+                end.pieces_after,
+            )
             for one, end in ends
         )
 
@@ -132,6 +136,10 @@ class RepairReport:
     def verdict(self) -> Verdict:
         """Passed when every check passed."""
         return verdict_of(self.checks)
+
+
+def _counted_twice(one: Repaired) -> float:
+    return math.fsum(change.volume_mm3 for change in one.changes if change.code == "united-pieces")
 
 
 def _none_of(name: str, count: int, place: str, next_step: str) -> Check:

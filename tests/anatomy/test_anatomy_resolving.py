@@ -320,9 +320,8 @@ def test_least_loss_spreads_losses_that_would_come_to_too_much_for_one():
     said = [pair.rule for pair in found.pairs if "in all" in pair.rule]
     assert len(said) == 1
     assert said[0].endswith("% and come to more than 5 % in all")
-    smaller = _resolved(anatomy, choice=Choice.SMALLER)
-    assert [cut.name for cut in smaller.cuts] == ["big"]
-    assert smaller.cuts[0].change_percent < -6.0
+    changes = {cut.name: cut.change_percent for cut in _resolved(anatomy, choice=Choice.SMALLER).cuts}
+    assert changes["big"] < -6.0
 
 
 def test_any_kind_lets_a_bone_lose_to_a_muscle_that_would_lose_more():

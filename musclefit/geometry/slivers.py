@@ -58,7 +58,7 @@ def heights(mesh: TriMesh) -> Float:
     return least
 
 
-def without_slivers(mesh: TriMesh, *, least_mm: float, most_mm: float, alone: Bool | None = None) -> Unslivered:
+def without_slivers(mesh: TriMesh, *, least_mm: float, most_mm: float) -> Unslivered:
     """Collapse edges and flip edges until no triangle is lower than a length, where that can be done.
 
     Parameters
@@ -69,8 +69,6 @@ def without_slivers(mesh: TriMesh, *, least_mm: float, most_mm: float, alone: Bo
         Height below which a triangle is a sliver.
     most_mm : float
         How far any place of the surface may get from where it was.
-    alone : (n,) bool, optional
-        Vertices that are neither moved nor taken out.
 
     Returns
     -------
@@ -78,11 +76,10 @@ def without_slivers(mesh: TriMesh, *, least_mm: float, most_mm: float, alone: Bo
         Closed, oriented and free of crossings as before. Each collapse moves places by at most the edge's length and
         each flip by at most the triangle's height; what is told is the largest sum of these at any vertex.
     """
-    mesh = compacted(mesh) if alone is None else mesh
     before = int((heights(mesh) < least_mm).sum())
     if not before:
         return Unslivered(mesh, 0, 0, 0.0)
-    kept = np.zeros(len(mesh.vertices), dtype=bool) if alone is None else alone.copy()
+    mesh, kept = compacted(mesh), np.zeros(len(np.unique(mesh.faces)), dtype=bool)
     known = len(self_crossings(mesh))
     for attempt in range(ATTEMPTS):
         work = _Work(mesh, kept, least_mm=least_mm, most_mm=most_mm)

@@ -257,7 +257,8 @@ def _make_room(
             before = dict(tissues.now)
             distance = (CUT + 0.25 * attempt) * settings.clearance_mm
             for done, (name, winners) in enumerate(sorted(by_loser.items()), start=1):
-                tools = [_tool_at(before[winner].surface, before[name].surface, distance) for winner in sorted(winners)]
+                surfaces = [before[winner].surface for winner in sorted(winners)]
+                tools = [_tool_at(one, before[name].surface, settings.clearance_mm, distance) for one in surfaces]
                 work[name].clearance_mm = distance
                 _cut(tissues, name, tools, work[name].log, settings=settings)
                 tick(done / len(by_loser))
@@ -266,9 +267,9 @@ def _make_room(
             return
 
 
-def _tool_at(winner: TriMesh, loser: TriMesh, distance_mm: float) -> TriMesh:
+def _tool_at(winner: TriMesh, loser: TriMesh, within_mm: float, distance_mm: float) -> TriMesh:
     """What to take from the loser: the surroundings of the winner's triangles near it, or all where one is inside."""
-    faces = faces_near(winner, loser, within_mm=distance_mm)
+    faces = faces_near(winner, loser, within_mm=within_mm)
     return padded(winner, faces, distance_mm=distance_mm) if len(faces) else grown_by(winner, distance_mm=distance_mm)
 
 

@@ -29,8 +29,6 @@ _CORNERS = np.array(
 )
 AROUND = _CORNERS * (3.0**0.5 / _GOLDEN**2)
 """(12, 3) corners of an icosahedron around the unit ball."""
-REACH = float(np.linalg.norm(AROUND[0]))
-"""How far these are from its middle: 1.26."""
 
 
 def united(parts: Sequence[TriMesh], *, smooth_within_mm: float) -> TriMesh:
@@ -96,15 +94,10 @@ def padded(mesh: TriMesh, faces: Int, *, distance_mm: float) -> TriMesh:
     distance_mm : float
         Kept everywhere; exceeded by at most half, at the corners of the icosahedra that stand for balls.
     """
-    hulls = padded_one_by_one(mesh, faces, distance_mm=(1.0 + PAD_SMOOTH) * distance_mm)
+    around = mesh.corners()[faces][:, :, None, :] + (1.0 + PAD_SMOOTH) * distance_mm * AROUND
+    hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(points.reshape(-1, 3))) for points in around]
     whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
     return as_mesh(whole.simplify(PAD_SMOOTH * distance_mm))
-
-
-def padded_one_by_one(mesh: TriMesh, faces: Int, *, distance_mm: float) -> list[Any]:
-    """What `padded` unites: for each of (k,) faces, its hull grown, as manifold3d's own."""
-    around = mesh.corners()[faces][:, :, None, :] + distance_mm * AROUND
-    return [manifold3d.Manifold.hull_points(np.ascontiguousarray(points.reshape(-1, 3))) for points in around]
 
 
 def vertex_normals(mesh: TriMesh) -> Points:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import ball, box, joined
 
-from musclefit.geometry.booleans import AROUND, LEAST_COSINE, REACH, SHRINKS, difference, grown_by, padded
+from musclefit.geometry.booleans import AROUND, LEAST_COSINE, SHRINKS, difference, grown_by, padded
 from musclefit.geometry.clearing import faces_near
 from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.distances import nearest_places
@@ -87,7 +87,7 @@ def test_the_icosahedra_that_stand_for_balls_hold_the_unit_ball():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     widths = (directions @ AROUND.T).max(axis=1)
     assert widths.min() >= 1.0
-    assert np.linalg.norm(AROUND, axis=1) == pytest.approx(REACH)
+    assert np.linalg.norm(AROUND, axis=1) == pytest.approx(1.2584, abs=1e-4)
     point = TriMesh(1e-9 * np.eye(3), np.array([[0, 1, 2]]))
     surface = padded(point, np.array([0]), distance_mm=1.0)
     assert nearest_places(np.zeros((1, 3)), surface).distances[0] >= 1.0
@@ -102,7 +102,20 @@ def test_faces_near_another_surface_are_found_by_their_whole_area(gap):
     back = faces_near(small, plate, within_mm=0.1)
     low = small.vertices[small.faces][:, :, 2].min(axis=1) + gap
     assert set(np.flatnonzero(low < 0.1)) <= set(back)
-    assert (low[back] <= 0.1 * REACH + 1e-9).all()
+    assert (low[back] <= 0.11).all()
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=25, deadline=None)
+def test_no_face_near_another_surface_is_missed(seed):
+    rng = np.random.default_rng(seed)
+    small = ball(1, radius=1.0)
+    mesh = TriMesh(rng.normal(scale=2.0, size=(60, 3)), np.arange(60).reshape(20, 3))
+    weights = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12.0
+    places = np.einsum("wk,fki->fwi", weights, mesh.corners())
+    apart = nearest_places(places.reshape(-1, 3), small).distances.reshape(20, -1).min(axis=1)
+    found = faces_near(mesh, small, within_mm=0.2)
+    assert set(np.flatnonzero(apart < 0.2)) <= set(found)
 
 
 def test_growing_a_surface_into_its_own_notch_does_not_make_it_cross_itself():

@@ -19,7 +19,7 @@ _BOX = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 
 
 def faces_near(mesh: TriMesh, other: TriMesh, *, within_mm: float) -> Int:
-    """Faces that come closer to another surface than a distance; those beside which it comes so close, in their plane, too.
+    """Faces that come closer to another surface than a distance, and some beside these.
 
     A face counts when the box along its longest edge and its plane, grown by the distance, crosses the other surface,
     by exact predicates.

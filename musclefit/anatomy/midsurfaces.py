@@ -35,8 +35,8 @@ def halves(sides: tuple[TriMesh, TriMesh], common: TriMesh, *, clearance_mm: flo
     r"""What to take from ``a`` and what from ``b``, so that they part their overlap where they are equally deep.
 
     With the distances :math:`u_a, u_b` from the own sides of the overlap, ``a`` loses where
-    :math:`u_b - u_a \ge -c/2` and ``b`` where :math:`u_b - u_a \le c/2`, both within the overlap grown by c. The two
-    tools cover the overlap whatever the lattice.
+    :math:`u_b - u_a \ge -c` and ``b`` where :math:`u_b - u_a \le c`, both within the overlap grown by c. The two tools
+    cover the overlap whatever the lattice.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def halves(sides: tuple[TriMesh, TriMesh], common: TriMesh, *, clearance_mm: flo
     common : TriMesh
         The surface of what the two share.
     clearance_mm : float
-        c.
+        c: where one distance grows as the other falls, a gap of this width.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def halves(sides: tuple[TriMesh, TriMesh], common: TriMesh, *, clearance_mm: flo
     depths = depths[tuple(distance_transform_edt(~near, return_distances=False, return_indices=True))]
     tools = []
     for values in (depths, -depths):
-        half = _above(values, -0.5 * clearance_mm, low=low, spacing=spacing)
+        half = _above(values, -clearance_mm, low=low, spacing=spacing)
         tools.append(as_mesh(region ^ as_manifold(half)) if len(half.faces) else half)
     return tools[0], tools[1]
 

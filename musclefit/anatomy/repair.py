@@ -25,7 +25,15 @@ from musclefit.geometry.hausdorff import reach
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.patches import cut_at_pinches
 from musclefit.geometry.resurfacing import Fill, border_of_inside
-from musclefit.geometry.topology import closed_components, edges_of, has_no_area, nested_pieces, turn
+from musclefit.geometry.solids import pieces
+from musclefit.geometry.topology import (
+    closed_components,
+    edges_of,
+    has_no_area,
+    merge_duplicate_vertices,
+    nested_pieces,
+    turn,
+)
 from musclefit.geometry.uncrossing import (
     PART_MM,
     compacted,
@@ -80,7 +88,10 @@ def repair_surface(name: str, mesh: TriMesh, *, settings: RepairSettings, fill: 
         )
     before = faults_of(mesh)
     volume = enclosed_volume(mesh)
-    untouched = Repaired(name, mesh, Way.UNTOUCHED, before, before, (), UNCHANGED, volume, volume, settings.limit_mm)
+    parts = whole_pieces(mesh, settings, with_hollows=not before.none)
+    untouched = Repaired(
+        name, mesh, Way.UNTOUCHED, before, before, (), UNCHANGED, volume, volume, parts, parts, settings.limit_mm
+    )
     if before.none and not _thin_or_stray(mesh, settings).any():
         return untouched
     log = Log()
@@ -99,6 +110,14 @@ def repair_surface(name: str, mesh: TriMesh, *, settings: RepairSettings, fill: 
         return min(valid, key=lambda result: result.deviation.largest_mm)
     reason = f"no way led to a valid surface; after the local one it still had {tried[0].after.said()}: left as it was"
     return replace(untouched, way=Way.UNREPAIRED, changes=(Change("unrepaired", 1, reason),))
+
+
+def whole_pieces(mesh: TriMesh, settings: RepairSettings, *, with_hollows: bool = False) -> int:
+    """Pieces of a surface that share no place of a vertex, strays left out and, unless asked for, hollows too."""
+    merged = merge_duplicate_vertices(mesh.vertices, mesh.faces)
+    volumes = np.array([enclosed_volume(part) for part in pieces(TriMesh(merged.vertices, merged.faces))])
+    sizes = np.abs(volumes) if with_hollows else volumes
+    return int((sizes > 0.01 * settings.stray_percent * sizes.max(initial=0.0)).sum())
 
 
 def tidied(mesh: TriMesh, *, settings: RepairSettings, most_mm: float) -> tuple[TriMesh, tuple[Change, ...]]:
@@ -130,7 +149,7 @@ def _local(given: Repaired, soup: TriMesh, log: Log, *, settings: RepairSettings
             f"{source}: {len(mesh.faces)} faces are left, which enclose {volume:.3g} mm³: it has no inside. Give "
             "it thickness in a mesh editor, or leave it out"
         )
-    return _result(given, mesh, own, way=Way.LOCAL)
+    return _result(given, mesh, own, settings=settings, way=Way.LOCAL)
 
 
 def _resurfaced(given: Repaired, soup: TriMesh, log: Log, *, settings: RepairSettings, fill: Fill) -> Repaired:
@@ -139,7 +158,7 @@ def _resurfaced(given: Repaired, soup: TriMesh, log: Log, *, settings: RepairSet
         border = border_of_inside(soup, fill=fill)
     except MeshError as error:
         own.add("resurfacing-failed", 1, f"resurfacing failed: {error}")
-        return _result(given, soup, own, way=Way.RESURFACED)
+        return _result(given, soup, own, settings=settings, way=Way.RESURFACED)
     own.add(
         "resurfaced",
         len(border.faces),
@@ -149,7 +168,7 @@ def _resurfaced(given: Repaired, soup: TriMesh, log: Log, *, settings: RepairSet
     )
     mesh = _without_crossings(_apart(border, own), own, most_mm=0.75 * settings.limit_mm)
     mesh = _nested_by_depth(_without_thin_or_stray(mesh, own, settings), own)
-    return _result(given, mesh, own, way=Way.RESURFACED)
+    return _result(given, mesh, own, settings=settings, way=Way.RESURFACED)
 
 
 def _apart(mesh: TriMesh, log: Log) -> TriMesh:
@@ -275,20 +294,20 @@ def _nested_by_depth(mesh: TriMesh, log: Log) -> TriMesh:
     edges = edges_of(mesh.faces)
     if not len(mesh.faces) or len(edges.odd) or len(edges.unbalanced):
         return mesh
-    pieces = nested_pieces(mesh)
-    wrong = (pieces.volumes > 0) == (pieces.depth % 2 == 1)
+    found = nested_pieces(mesh)
+    wrong = (found.volumes > 0) == (found.depth % 2 == 1)
     for number in np.flatnonzero(wrong):
-        size = abs(float(pieces.volumes[number]))
-        which = "a hollow inside another piece and now faces inwards" if pieces.depth[number] % 2 else "inside-out"
+        size = abs(float(found.volumes[number]))
+        which = "a hollow inside another piece and now faces inwards" if found.depth[number] % 2 else "inside-out"
         log.add("turned-pieces", 1, f"a piece of {size:.6g} mm³ was {which}", volume_mm3=size)
-    return TriMesh(mesh.vertices, turn(mesh.faces, wrong[pieces.of_face])) if wrong.any() else mesh
+    return TriMesh(mesh.vertices, turn(mesh.faces, wrong[found.of_face])) if wrong.any() else mesh
 
 
 def _encloses_nothing(mesh: TriMesh) -> bool:
     return enclosed_volume(mesh) <= 1e-9 * area(mesh) ** 1.5 and not len(edges_of(mesh.faces).odd)
 
 
-def _result(given: Repaired, mesh: TriMesh, log: Log, *, way: Way) -> Repaired:
+def _result(given: Repaired, mesh: TriMesh, log: Log, *, settings: RepairSettings, way: Way) -> Repaired:
     mesh = compacted(mesh)
     after: Faults = faults_of(mesh)
     return replace(
@@ -299,6 +318,7 @@ def _result(given: Repaired, mesh: TriMesh, log: Log, *, way: Way) -> Repaired:
         changes=tuple(log.changes),
         deviation=deviation_of(compacted(given.mesh), mesh, log),
         volume_after_mm3=enclosed_volume(mesh),
+        pieces_after=whole_pieces(mesh, settings),
     )
 
 

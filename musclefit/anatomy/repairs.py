@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 
 from musclefit.errors import InputError
 from musclefit.geometry.faults import Faults
 from musclefit.geometry.meshes import TriMesh
+
+MOST_CLEARANCE_MM = 2.0
+"""Surfaces are grown along their normals by the clearance, which holds for less than their curvature's radius, mm."""
 
 
 class Way(StrEnum):
@@ -35,11 +38,16 @@ class RepairSettings:
         Closed pieces that are thinner than this on average (twice the volume over the area) are taken out.
     thicken_mm : float
         Thickness to give to an open sheet; 0 refuses it.
+    clearance_mm : float
+        Distance to leave between tissues where overlaps are taken away. A posed surface is followed within a chord
+        tolerance of up to 0.05 mm on either side of a gap.
+    max_change_percent : float
+        Change of a tissue's volume, either way, beyond which the repair has failed.
 
     Raises
     ------
     InputError
-        A value that is not finite, or below 0; a limit of 0.
+        A value that is not finite, or below 0; a limit or a clearance of 0; a clearance beyond 2 mm.
     """
 
     limit_mm: float = 0.3
@@ -47,12 +55,25 @@ class RepairSettings:
     stray_percent: float = 0.01
     thin_mm: float = 1e-3
     thicken_mm: float = 0.0
+    clearance_mm: float = 0.1
+    max_change_percent: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("limit_mm", "weld_mm", "stray_percent", "thin_mm", "thicken_mm"):
-            value = getattr(self, name)
-            if not 0.0 <= value < 1e6 or (name == "limit_mm" and value == 0.0):
-                raise InputError(f"{name} is {value}; give a number from 0 up" + (", above 0" * (name == "limit_mm")))
+        for own in fields(self):
+            name, value = own.name, getattr(self, own.name)
+            positive = name in ("limit_mm", "clearance_mm")
+            if not 0.0 <= value < 1e6 or (positive and value == 0.0):
+                raise InputError(f"{name} is {value}; give a number from 0 up" + ", above 0" * positive)
+        if self.clearance_mm > MOST_CLEARANCE_MM:
+            raise InputError(
+                f"clearance_mm is {self.clearance_mm}; expected at most {MOST_CLEARANCE_MM:g}, which is what cutting "
+                "can leave: shrink the tissues before"
+            )
+
+    @property
+    def wall_mm(self) -> float:
+        """Width below which walls and slots of a tissue that overlaps leave are taken out, mm: half the clearance."""
+        return 0.5 * self.clearance_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +144,8 @@ class Repaired:
     deviation : Deviation
     volume_before_mm3, volume_after_mm3 : float
         Of an open surface, what its faces enclose with the origin of their middle.
+    pieces_before, pieces_after : int
+        Strays left out; before, hollows count, as a surface that bounds no solid does not tell them from bodies.
     limit_mm : float
     """
 
@@ -135,6 +158,8 @@ class Repaired:
     deviation: Deviation
     volume_before_mm3: float
     volume_after_mm3: float
+    pieces_before: int
+    pieces_after: int
     limit_mm: float
 
     @property

@@ -19,7 +19,7 @@ from musclefit.rig.model import Unit
 
 if TYPE_CHECKING:
     from musclefit.anatomy.repairs import Repaired
-    from musclefit.anatomy.resolving import Resolved
+    from musclefit.anatomy.resolutions import Resolved
     from musclefit.report.repairs import RepairReport
 
 PASSED, FAILED = 0, 1
@@ -40,11 +40,33 @@ def repair(
         Literal["none", "priority", "split"],
         Parameter(
             name="--resolve",
-            help="Take away what tissues share. priority: bone before muscle before other, then the smaller one keeps "
-            "it; split: tissues of one kind part it where they are equally deep.",
+            help="Take away what tissues share, and leave a clearance. priority: one of the two keeps it, bone before "
+            "muscle before other, then by --rule; split: tissues of one kind part it where they are equally deep.",
             show_default=True,
         ),
     ] = "none",
+    rule: Annotated[
+        Literal["least-loss", "smaller", "any-kind"],
+        Parameter(
+            name="--rule",
+            help="Who loses what two tissues of one kind share. least-loss: the one that loses the smaller share of "
+            "itself, unless only that one would come to more than --max-change-percent or fall apart; smaller: the "
+            "smaller one keeps it; any-kind: least-loss whatever the kinds.",
+            show_default=True,
+        ),
+    ] = "least-loss",
+    clearance_mm: Annotated[
+        float,
+        Parameter(name="--clearance-mm", help="Distance that --resolve leaves between tissues.", show_default=True),
+    ] = 0.1,
+    max_change_percent: Annotated[
+        float,
+        Parameter(
+            name="--max-change-percent",
+            help="Change of a tissue's volume, either way, beyond which the repair fails.",
+            show_default=True,
+        ),
+    ] = 5.0,
     limit_mm: Annotated[
         float, Parameter(name="--limit-mm", help="Largest distance from the original, either way.", show_default=True)
     ] = 0.3,
@@ -73,16 +95,26 @@ def repair(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON.")] = False,
 ) -> int:
-    """Close holes, take out doubled, flipped and crossing faces, strays and overlaps; say each change with numbers."""
+    """Close holes, take out doubled, flipped and crossing faces, strays and overlaps; say each change with numbers.
+
+    Exit code 1 where a surface is not valid, farther from the original than the limit, changed too much in volume or
+    fell apart, or where overlaps are left; all is written then too.
+    """
     from musclefit.anatomy.repairs import RepairSettings
-    from musclefit.anatomy.resolving import Rule
+    from musclefit.anatomy.resolutions import Choice, Rule
     from musclefit.cli.kinds import parse_kinds
     from musclefit.io.provenance import measured
     from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repair
     from musclefit.pipeline.repair import repair as repaired
     from musclefit.report.repairs import repair_json
 
-    settings = RepairSettings(limit_mm=limit_mm, thicken_mm=thicken_mm, stray_percent=stray_percent)
+    settings = RepairSettings(
+        limit_mm=limit_mm,
+        thicken_mm=thicken_mm,
+        stray_percent=stray_percent,
+        clearance_mm=clearance_mm,
+        max_change_percent=max_change_percent,
+    )
     check_target(source, out)
     with TimedStages(shown=not quiet) as stages:
         files = read_raw(source, units=Unit(units), kinds=parse_kinds(kind), progress=stages)
@@ -90,6 +122,7 @@ def repair(
             files.tissues,
             settings=settings,
             rule=Rule(resolve),
+            choice=Choice(rule),
             filler=None if local_only else tetrahedra,
             title=str(source),
             findings=files.findings,
@@ -156,9 +189,26 @@ def _print_resolved(console: Console, resolved: Resolved) -> None:
     if len(resolved.pairs) > PAIRS_SHOWN:
         console.print(Text(f"  ... and {len(resolved.pairs) - PAIRS_SHOWN} more, all in the report"))
     for cut in resolved.cuts:
-        percent = 100.0 * (cut.volume_after_mm3 / cut.volume_before_mm3 - 1.0)
+        percent = cut.change_percent
         notes = "; ".join(change.message for change in cut.changes)
         console.print(Text(f"  {cut.name}: {percent:+.2f} % of its volume{'; ' + notes if notes else ''}"))
+    _print_room(console, resolved)
+
+
+def _print_room(console: Console, resolved: Resolved) -> None:
+    """How far tissues are apart from each other and from themselves."""
+    aimed = f"clearance: {resolved.clearance_mm:g} mm"
+    if not resolved.gaps:
+        console.print(Text(f"{aimed}, left between all tissues"))
+    else:
+        console.print(Text(f"{aimed}, not reached by {len(resolved.gaps)} pairs:"))
+        for gap in resolved.gaps[:PAIRS_SHOWN]:
+            console.print(Text(f"  {gap.gap_mm:10.4g} mm  {gap.a} / {gap.b}"))
+        if len(resolved.gaps) > PAIRS_SHOWN:
+            console.print(Text(f"  ... and {len(resolved.gaps) - PAIRS_SHOWN} more, all in the report"))
+    for thin in resolved.thin:
+        said = f"closer to itself than half of that over {thin.area_mm2:.3g} mm², both sides counted"
+        console.print(Text(f"  {thin.name}: {said}"))
 
 
 def _where(out: Path, written: tuple[Path, ...]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import manifold3d
@@ -11,11 +10,25 @@ import numpy as np
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Float, Int, Points
+from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.volumes import area_vectors
 
 LEAST_COSINE = 0.3
 """Cosine between a vertex's direction of growth and a face's normal that is still made up for by going farther."""
+
+SHRINKS = 8
+"""How often growth is halved where it makes triangles cross, before it is left out there."""
+
+PAD_SMOOTH = 0.1
+"""How far the surface around padded triangles may move for the slivers of their union to go, in distances."""
+
+_GOLDEN = 0.5 * (1.0 + 5.0**0.5)
+_CORNERS = np.array(
+    [np.roll([0.0, one, other], axis) for axis in range(3) for one in (-1.0, 1.0) for other in (-_GOLDEN, _GOLDEN)]
+)
+AROUND = _CORNERS * (3.0**0.5 / _GOLDEN**2)
+"""(12, 3) corners of an icosahedron around the unit ball."""
 
 
 def united(parts: Sequence[TriMesh], *, smooth_within_mm: float) -> TriMesh:
@@ -52,30 +65,39 @@ def grown_by(mesh: TriMesh, *, distance_mm: float) -> TriMesh:
     """A surface with each vertex moved outwards so that the planes of its faces move by about the distance.
 
     Each vertex goes along the mean of its faces' normals, farther where that is oblique to one of them. Meant for
-    distances far below the lengths of the edges; at a sharp corner or a crease the planes move by less.
+    distances far below the lengths of the edges; at a sharp corner or a crease the planes move by less, and where
+    triangles would come to cross each other, vertices move by less or stay.
     """
     unit = area_vectors(mesh)
     unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-300)
     normals = vertex_normals(mesh)
     cosine = np.ones(len(mesh.vertices))
     np.minimum.at(cosine, mesh.faces.ravel(), np.einsum("fi,fki->fk", unit, normals[mesh.faces]).ravel())
-    return mesh.with_vertices(mesh.vertices + normals * (distance_mm / np.maximum(cosine, LEAST_COSINE))[:, None])
+    steps = normals * (distance_mm / np.maximum(cosine, LEAST_COSINE))[:, None]
+    share = np.ones((len(mesh.vertices), 1))
+    for shrinks in range(SHRINKS + 1):
+        grown = mesh.with_vertices(mesh.vertices + share * steps)
+        found = self_crossings(grown)
+        if not len(found):
+            return grown
+        share[np.unique(mesh.faces[found.pairs.ravel()])] *= 0.5 if shrinks < SHRINKS - 1 else 0.0
+    return mesh
 
 
 def padded(mesh: TriMesh, faces: Int, *, distance_mm: float) -> TriMesh:
-    """A closed surface that keeps the distance from some triangles on all sides: each one's corners made cubes, united.
+    """A closed surface that keeps the distance from some triangles on all sides: their hulls grown, united.
 
     Parameters
     ----------
     mesh : TriMesh
     faces : (k,) int64
     distance_mm : float
-        Half the edge of the cubes.
+        Kept everywhere; exceeded by at most half, at the corners of the icosahedra that stand for balls.
     """
-    steps = distance_mm * np.array(list(product((-1.0, 1.0), repeat=3)))
-    around = mesh.corners()[faces][:, :, None, :] + steps
+    around = mesh.corners()[faces][:, :, None, :] + (1.0 + PAD_SMOOTH) * distance_mm * AROUND
     hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(points.reshape(-1, 3))) for points in around]
-    return as_mesh(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))
+    whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
+    return as_mesh(whole.simplify(PAD_SMOOTH * distance_mm))
 
 
 def vertex_normals(mesh: TriMesh) -> Points:

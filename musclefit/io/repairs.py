@@ -16,14 +16,11 @@ from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.io.ftetwild import fill
 from musclefit.io.outputs import check_writable, file_names, ply_bytes, write_surfaces
-from musclefit.io.surfaces import kind_of, read_surface, surface_files
+from musclefit.io.surfaces import is_repair_report, kind_of, read_surface, surface_files
 from musclefit.pipeline.repair import RawTissue, RepairResult
 from musclefit.progress import Progress
 from musclefit.report.repairs import repair_json
 from musclefit.rig.model import Unit
-
-_REPAIR = "overlaps_resolved"
-"""A key that the report of a repair has, and no other file is likely to."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,7 +87,7 @@ def check_target(source: Path, target: Path) -> None:
         return
     if target.is_dir():
         raise InputError(f"{target} is a folder; name a file that does not exist yet")
-    if target.exists() and not _is_ours(_report_path(target)):
+    if target.exists() and not is_repair_report(_report_path(target)):
         raise InputError(f"{target} is there already, and no repair wrote it; name another file")
 
 
@@ -129,13 +126,6 @@ def _is_one_file(source: Path, target: Path) -> bool:
 
 def _report_path(target: Path) -> Path:
     return target.with_name(f"{target.stem}.repair.json")
-
-
-def _is_ours(path: Path) -> bool:
-    try:
-        return _REPAIR in json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
 
 
 def _place(files: RawFiles, name: str) -> str:

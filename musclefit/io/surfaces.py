@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,6 +38,9 @@ _KIND_WORDS: Mapping[str, TissueKind] = MappingProxyType(
 
 
 _UNWATCHED = Silent()
+
+_REPAIR = "overlaps_resolved"
+"""A key that the report of a repair has, and no other file is likely to."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -197,12 +201,22 @@ def _folder(folder: Path) -> tuple[list[Path], list[Finding]]:
     paths = [path for path in inside if path.is_file() and path.suffix.lower() in _READERS]
     if not paths:
         raise InputError(f"the anatomy's folder {folder} has no surface file; read are {_ENDINGS}")
-    left = [path for path in inside if path not in paths and path not in read_into]
+    left = [path for path in inside if path not in paths and path not in read_into and not is_repair_report(path)]
     if not left:
         return paths, []
     said = ", ".join(path.relative_to(folder).as_posix() + ("/" if path.is_dir() else "") for path in left[:6])
     message = f"{folder.name}: {len(left)} files and folders were not read: {said}{', ...' if len(left) > 6 else ''}"
     return paths, [Finding(folder.name, "not-read", message)]
+
+
+def is_repair_report(path: Path) -> bool:
+    """Whether a file is the report that a repair wrote beside its surfaces."""
+    if path.suffix.lower() != ".json" or not path.is_file():
+        return False
+    try:
+        return _REPAIR in json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError):
+        return False
 
 
 def _expanded(patterns: Sequence[Path]) -> list[Path]:

@@ -11,7 +11,8 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repair import repair_surface
 from musclefit.anatomy.repairs import RepairSettings
-from musclefit.anatomy.resolving import Rule, resolved
+from musclefit.anatomy.resolutions import Choice, Rule
+from musclefit.anatomy.resolving import resolved
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.geometry.meshes import TriMesh
@@ -55,6 +56,7 @@ def repair(
     rule: Rule,
     filler: Filler | None,
     title: str,
+    choice: Choice = Choice.LEAST_LOSS,
     findings: Sequence[Finding] = (),
     progress: Progress | None = None,
 ) -> RepairResult:
@@ -68,6 +70,7 @@ def repair(
     filler : callable or None
         What tetrahedralises where local repair fails; None leaves that way out.
     title : str
+    choice : Choice
     findings : sequence of Finding
         From reading the files.
 
@@ -94,10 +97,10 @@ def repair(
                 f"{broken[0].name}: could not be repaired ({broken[0].after.said()}), so its overlaps cannot be "
                 "resolved; mend it in a mesh editor, leave it out, or run without --resolve"
             )
-        resolution = resolved(anatomy, rule=rule, settings=settings, progress=progress)
+        resolution = resolved(anatomy, rule=rule, settings=settings, progress=progress, choice=choice)
         anatomy = resolution.anatomy
         overlaps = rest_overlaps(anatomy, progress=progress)
-    report = RepairReport(title, settings, rule, tuple(repaired), tuple(findings), resolution, overlaps)
+    report = RepairReport(title, settings, rule, choice, tuple(repaired), tuple(findings), resolution, overlaps)
     return RepairResult(report, anatomy)
 
 

@@ -88,6 +88,11 @@ NOT_EXAMINED = "Install what it needs (pip install 'musclefit[motion]') and run 
 
 NOT_VALID = "Set --limit-mm higher, or mend the surfaces named in a mesh editor first."
 TOO_FAR = "Set --limit-mm to a distance that is tolerable, or mend the surface named in a mesh editor first."
+CHANGED_MUCH = (
+    "Look at the tissue named; where it is right, set --max-change-percent higher, else give it another kind "
+    "(--kind name=other), let others lose (--rule, --resolve split), or mend it in a mesh editor first."
+)
+FELL_APART = "Look at the tissue named; give it another kind (--kind name=bone), or set --rule or --clearance-mm anew."
 STILL_MEET = "Run musclefit repair on its output once more, or leave out the smaller tissue of the pair named."
 
 

@@ -9,12 +9,34 @@ from typing import Any
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.repairs import Change, Deviation, Repaired, RepairSettings
-from musclefit.anatomy.resolving import PairResolution, Resolved, Rule, TissueCut
+from musclefit.anatomy.resolutions import Choice, PairResolution, Resolved, Rule, TissueCut
 from musclefit.geometry.faults import Faults
 from musclefit.report import next_steps
 from musclefit.report.model import SCHEMA_VERSION, Verdict, verdict_of
 from musclefit.report.schema import Json
 from musclefit.validate.model import Check, OverlapCheck
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One tissue from its file to the end: volumes, mm³, what its pieces share counted once, and pieces."""
+
+    name: str
+    volume_before_mm3: float
+    volume_after_mm3: float
+    pieces_before: int
+    pieces_after: int
+
+    @property
+    def change_percent(self) -> float:
+        """Of the volume as given, whichever way its faces turned; infinite where that was none."""
+        given, now = abs(self.volume_before_mm3), abs(self.volume_after_mm3)
+        return 100.0 * (now - given) / given if given else math.inf
+
+    def said(self) -> str:
+        """The tissue with what it lost or gained, and its pieces."""
+        volumes = f"{self.volume_before_mm3:.5g} to {self.volume_after_mm3:.5g} mm³, {self.change_percent:+.1f} %"
+        return f"{self.name}: {volumes}; {self.pieces_before} to {self.pieces_after} pieces"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -26,6 +48,7 @@ class RepairReport:
     title : str
     settings : RepairSettings
     rule : Rule
+    choice : Choice
     surfaces : tuple of Repaired
     findings : tuple of Finding
         From reading the files.
@@ -38,6 +61,7 @@ class RepairReport:
     title: str
     settings: RepairSettings
     rule: Rule
+    choice: Choice
     surfaces: tuple[Repaired, ...]
     findings: tuple[Finding, ...]
     resolved: Resolved | None
@@ -47,8 +71,24 @@ class RepairReport:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """What became of each surface, from its file to the end."""
+        cuts = {cut.name: cut for cut in self.resolved.cuts} if self.resolved else {}
+        ends = [(one, cuts.get(one.name, one)) for one in self.surfaces]
+        return tuple(
+            Outcome(
+                one.name,
+                one.volume_before_mm3 - _counted_twice(one),
+                end.volume_after_mm3,
+                one.pieces_before,
+                end.pieces_after,
+            )
+            for one, end in ends
+        )
+
+    @property
     def checks(self) -> tuple[Check, ...]:
-        """Surfaces that are not valid, the largest distance from an original, and pairs that still overlap."""
+        """Surfaces that are not valid, the largest distance from an original, losses, and pairs that still overlap."""
         invalid = {s.name: s.after for s in self.surfaces if not s.after.none}
         invalid |= {cut.name: cut.after for cut in self.resolved.cuts if not cut.after.none} if self.resolved else {}
         far = max(self.surfaces, key=lambda s: s.deviation.largest_mm)
@@ -62,6 +102,7 @@ class RepairReport:
                 far.name,
                 next_step=next_steps.TOO_FAR,
             ),
+            *self._losses(),
         ]
         if self.resolved is not None:
             left = self.resolved.left
@@ -76,10 +117,29 @@ class RepairReport:
             checks.append(_none_of("not checked", len(doubtful), unchecked, next_steps.NOT_VALID))
         return tuple(checks)
 
+    def _losses(self) -> list[Check]:
+        """A check for each tissue whose volume changed too much or that fell apart, or one for the largest change."""
+        limit, checks = self.settings.max_change_percent, []
+        largest = max(self.outcomes, key=lambda one: abs(one.change_percent))
+        for one in self.outcomes:
+            if abs(one.change_percent) > limit or one is largest:
+                size = abs(one.change_percent)
+                checks.append(
+                    Check("change of volume", size, limit, "%", one.said(), next_step=next_steps.CHANGED_MUCH)
+                )
+            if one.pieces_after > one.pieces_before:
+                count, most = float(one.pieces_after), float(one.pieces_before)
+                checks.append(Check("pieces", count, most, "", one.said(), next_step=next_steps.FELL_APART))
+        return checks
+
     @property
     def verdict(self) -> Verdict:
         """Passed when every check passed."""
         return verdict_of(self.checks)
+
+
+def _counted_twice(one: Repaired) -> float:
+    return math.fsum(change.volume_mm3 for change in one.changes if change.code == "united-pieces")
 
 
 def _none_of(name: str, count: int, place: str, next_step: str) -> Check:
@@ -95,12 +155,17 @@ def repair_json(report: RepairReport) -> Json:
         "title": report.title,
         "verdict": report.verdict,
         "rule": report.rule.value,
+        "choice": report.choice.value,
         "settings": _plain(asdict(report.settings)),
         "surfaces": [_surface(surface) for surface in report.surfaces],
+        "tissues": [_tissue(one) for one in report.outcomes],
         "findings": [{"subject": f.subject, "code": f.code, "message": f.message} for f in report.findings],
         "overlaps_resolved": [] if resolved is None else [_pair(pair) for pair in resolved.pairs],
         "cuts": [] if resolved is None else [_cut(cut) for cut in resolved.cuts],
         "pairs_that_still_meet": [] if resolved is None else [list(pair) for pair in resolved.left],
+        "clearance_mm": None if resolved is None else resolved.clearance_mm,
+        "pairs_below_clearance": [] if resolved is None else [_plain(asdict(gap)) for gap in resolved.gaps],
+        "tissues_with_thin_places": [] if resolved is None else [_plain(asdict(thin)) for thin in resolved.thin],
         "checks": [_plain({**asdict(check), "passed": check.passed}) for check in report.checks],
         "timings_s": _plain(dict(report.timings_s)),
         "peak_memory_mb": _plain(report.peak_memory_mb),
@@ -121,6 +186,11 @@ def _surface(found: Repaired) -> Json:
         "volume_after_mm3": _plain(found.volume_after_mm3),
         "triangles": len(found.mesh.faces),
     }
+
+
+def _tissue(one: Outcome) -> Json:
+    plain: Json = _plain({**asdict(one), "change_percent": one.change_percent})
+    return plain
 
 
 def _faults(found: Faults) -> Json:
@@ -147,7 +217,9 @@ def _cut(found: TissueCut) -> Json:
         "name": found.name,
         "volume_before_mm3": _plain(found.volume_before_mm3),
         "volume_after_mm3": _plain(found.volume_after_mm3),
-        "clearance_mm": found.clearance_mm,
+        "pieces_before": found.pieces_before,
+        "pieces_after": found.pieces_after,
+        "cut_around_others_mm": found.clearance_mm,
         "changes": [_change(change) for change in found.changes],
         "faults_after": _faults(found.after),
     }

@@ -11,6 +11,7 @@ from planted import ball, box, joined, moebius
 from musclefit.cli import main
 from musclefit.geometry.faults import faults_of
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.volumes import enclosed_volume
 from musclefit.io.outputs import ply_bytes
 from musclefit.io.surfaces import read_anatomy, read_surface
 
@@ -60,7 +61,8 @@ def test_overlaps_are_resolved_and_reported_by_pair(tmp_path, capsys):
     folder = tmp_path / "in"
     _write(folder / "bones" / "b.ply", box((4.0, 4.0, 4.0)))
     _write(folder / "muscles" / "m.ply", box((6.0, 2.0, 2.0), at=(3.0, 1.0, 1.0)))
-    assert main(["repair", str(folder), str(tmp_path / "out"), "--resolve", "priority"]) == 0
+    options = ["--resolve", "priority", "--max-change-percent", "20"]  # a fifth of the muscle is in the bone
+    assert main(["repair", str(folder), str(tmp_path / "out"), *options]) == 0
     said = capsys.readouterr().out
     assert "1 overlapping pairs, 4 mm³ in all, 0 left" in said
     assert "b / m: priority: bone before muscle" in said
@@ -75,8 +77,83 @@ def test_overlaps_are_resolved_and_reported_by_pair(tmp_path, capsys):
         "from_b_mm3": pytest.approx(4.0),
     }
     assert report["cuts"][0]["name"] == "m"
+    assert (report["rule"], report["choice"], report["clearance_mm"]) == ("priority", "least-loss", 0.1)
+    assert report["pairs_below_clearance"] == report["tissues_with_thin_places"] == []
+    assert "clearance: 0.1 mm, left between all tissues" in said
     anatomy = read_anatomy(tmp_path / "out").anatomy
     assert [(t.name, t.kind.value) for t in anatomy] == [("m", "muscle"), ("b", "bone")]
+
+
+def _overlapping(folder):
+    _write(folder / "bones" / "b.ply", box((4.0, 4.0, 4.0)))
+    _write(folder / "muscles" / "m.ply", box((6.0, 2.0, 2.0), at=(3.0, 1.0, 1.0)))
+    return folder
+
+
+def test_a_tissue_that_loses_much_gives_1_and_is_named_with_all_written(tmp_path, capsys):
+    folder, out = _overlapping(tmp_path / "in"), tmp_path / "out"
+    assert main(["repair", str(folder), str(out), "--resolve", "priority"]) == 1
+    said = capsys.readouterr().out
+    assert "failed: change of volume 18.75 %, limit 5 (m: 24 to 19.5 mm³, -18.8 %; 1 to 1 pieces)" in said
+    report = json.loads((out / "report.json").read_text())
+    assert report["verdict"] == "failed"
+    lost = {one["name"]: one["change_percent"] for one in report["tissues"]}
+    assert lost == {"b": 0.0, "m": pytest.approx(-18.75, abs=0.01)}
+    assert sorted(path.relative_to(out).as_posix() for path in out.rglob("*.ply")) == ["bones/b.ply", "muscles/m.ply"]
+
+
+def test_a_tissue_that_falls_apart_gives_1_whatever_it_loses(tmp_path, capsys):
+    folder = tmp_path / "in"
+    _write(folder / "muscle_bar.ply", box((2.0, 2.0, 40.0)))
+    _write(folder / "bone_plate.ply", box((8.0, 8.0, 1.0), at=(-3.0, -3.0, 20.0)))
+    assert main(["repair", str(folder), str(tmp_path / "out"), "--resolve", "priority"]) == 1
+    said = capsys.readouterr().out
+    assert "failed: pieces 2 , limit 1 (muscle_bar: 160 to 155 mm³, -3.1 %; 1 to 2 pieces)" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    (cut,) = report["cuts"]
+    assert (cut["pieces_before"], cut["pieces_after"]) == (1, 2)
+
+
+def test_a_repair_that_changes_a_volume_much_gives_1_without_overlaps_too(tmp_path, capsys):
+    mesh = ball()
+    faces = mesh.faces.copy()
+    upper = mesh.vertices[faces].mean(axis=1)[:, 2] > 4.0
+    faces[upper] = faces[upper][:, ::-1]
+    given = _write(tmp_path / "radius.ply", TriMesh(mesh.vertices, faces))
+    assert main(["repair", str(given), str(tmp_path / "out.ply")]) == 1
+    said = capsys.readouterr().out
+    assert "failed: change of volume" in said
+    (tissue,) = json.loads((tmp_path / "out.repair.json").read_text())["tissues"]
+    assert tissue["change_percent"] > 50.0
+    assert tissue["volume_after_mm3"] == pytest.approx(enclosed_volume(mesh), rel=1e-9)
+    assert main(["repair", str(given), str(tmp_path / "out.ply"), "--max-change-percent", "900", "--quiet"]) == 0
+
+
+def test_the_next_run_knows_the_report_that_a_repair_left(tmp_path, capsys):
+    folder, out = _overlapping(tmp_path / "in"), tmp_path / "out"
+    main(["repair", str(folder), str(out), "--resolve", "priority", "--quiet"])
+    assert [finding.code for finding in read_anatomy(out).findings] == []
+    assert main(["repair", str(out), str(tmp_path / "again"), "--resolve", "priority"]) == 0
+    assert "not read" not in capsys.readouterr().out
+    (out / "other.json").write_text("{}")
+    (finding,) = read_anatomy(out).findings
+    assert "1 files and folders were not read: other.json" in finding.message
+
+
+def test_clearance_and_rule_are_options_and_told(tmp_path, capsys):
+    folder = tmp_path / "in"
+    _write(folder / "muscle_a.ply", box((10.0, 10.0, 10.0)))
+    _write(folder / "muscle_b.ply", box((9.0, 9.0, 9.0), at=(0.5, 0.5, 9.9)))
+    options = ["--resolve", "priority", "--clearance-mm", "0.2", "--rule", "smaller"]
+    assert main(["repair", str(folder), str(tmp_path / "out"), *options]) == 0
+    said = capsys.readouterr().out
+    assert "clearance: 0.2 mm, left between all tissues" in said
+    assert "muscle_b / muscle_a: priority: the smaller muscle" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["choice"], report["clearance_mm"]) == ("smaller", 0.2)
+    assert main(["repair", str(folder), str(tmp_path / "no"), *options[:3], "5"]) == 2
+    assert "clearance_mm is 5.0; expected at most 2" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_dry_run_writes_nothing(tmp_path, capsys):
@@ -180,5 +257,6 @@ def test_a_tangled_bone_is_resurfaced_within_the_limit(tmp_path, anatomy_data):
 def test_bones_that_are_no_manifolds_become_solids(tmp_path, anatomy_data, name):
     bone = anatomy_data / "opensim" / "rajagopal2016" / "Geometry" / f"{name}.vtp"
     assert faults_of(read_surface(bone).mesh()).crowded_edges > 0
-    assert main(["repair", str(bone), str(tmp_path / "b.ply"), "--units", "m", "--quiet", "--local-only"]) == 0
+    options = ["--units", "m", "--quiet", "--local-only", "--max-change-percent", "6"]  # the tibia's doubled faces
+    assert main(["repair", str(bone), str(tmp_path / "b.ply"), *options]) == 0
     assert faults_of(read_surface(tmp_path / "b.ply").mesh()).none

@@ -112,7 +112,8 @@ class _Problem:
         for lattice in lattices:
             seen = np.zeros((*lattice.shape, 1))
             bsplines.spread(lattice.low, lattice.spacing, at, np.ones((len(at), 1)), seen)
-            whole = float(np.quantile(seen[seen > 0.0], SEEN_SHARE))
+            some = seen[seen > 0.0]
+            whole = float(np.quantile(some, SEEN_SHARE)) if len(some) else 1.0  # of a level that no point sees
             scales.append(1.0 / np.sqrt(lattice.spacing[0] * (seen / whole + FLOOR)))
         return cls(at, lattices, scales)
 

@@ -14,14 +14,17 @@ from tiny_rigs import egg
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import RigError
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import kept_bones
+from musclefit.flow.kept import KeptBone, kept_bones
 from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.similar import Similarity
+from musclefit.geometry.surface_samples import surface_samples
 from musclefit.geometry.winding import winding_numbers
 from musclefit.io.outputs import ply_bytes
 from musclefit.io.rigs import read_rig
+from musclefit.pipeline.deformers import locked_march_of
 from musclefit.pipeline.retarget import Retargeting, retarget
+from musclefit.progress import Silent
 from musclefit.rig.model import BoneLimit, BoneSettings
 
 RIG = """
@@ -114,11 +117,94 @@ def test_what_is_deep_in_another_bone_is_not_held() -> None:
     low, high = egg((0.0, 0.0, 0.0), (20.0, 20.0, 40.0)), egg((0.0, 0.0, 50.0), (20.0, 20.0, 40.0))
     bones = Anatomy(tuple(Tissue(n, TissueKind.BONE, m) for n, m in (("low", low), ("high", high))), "mm")
     still, limits = Deformation((), (), Status.CONVERGED), dict.fromkeys(("low", "high"), BoneLimit.RIGID)
-    for bone, other in zip(kept_bones(bones, still, limits=limits, contact_zone_mm=1.0), (high, low), strict=True):
+    zones = np.full((2, 2), 1.0)
+    for bone, other in zip(kept_bones(bones, still, limits=limits, zones_mm=zones), (high, low), strict=True):
         within = winding_numbers(other, bone.surface) > 0.5
         assert nearest_places(bone.surface[within], other).distances.max() > 5.0
         assert within[bone.contact].sum() == within.sum() > 100
         assert not bone.contact.all()
+
+
+@pytest.fixture(scope="module")
+def locked(folder: Path) -> Retargeting:
+    return retarget(read_rig(folder / "kept.toml", overrides=["bones.lock=true"]), tets=None)
+
+
+def exposed(run: Retargeting, name: str, other: str, *, spacing_mm: float) -> np.ndarray:
+    """Places of a bone's surface at rest that stay outside the contact zone with another on the whole way."""
+    assert run.result.side.bones is not None
+    zone, steps = run.result.side.bones.contact_zone_mm, run.result.deformation.stretches
+    bones = {bone.name: bone for bone in kept_of(run)}
+    places = surface_samples(run.job.anatomy[name].surface, spacing_mm=spacing_mm).points
+    free = np.ones(len(places), dtype=bool)
+    for t in np.linspace(0.0, 1.0, 4 * steps + 1):
+        there = bones[other].way.at(float(t)).undone(bones[name].way.at(float(t))(places))
+        free &= nearest_places(there, run.job.anatomy[other].surface).distances > zone
+    return places[free]
+
+
+def kept_of(run: Retargeting) -> tuple[KeptBone, ...]:
+    return locked_march_of(run.job, run.job.anatomy.vertices(), progress=Silent())[1]
+
+
+@pytest.mark.parametrize(("name", "other"), [("bone_long", "bone_round"), ("bone_round", "bone_long")])
+def test_locked_bones_agree_with_the_field_on_their_whole_surface(
+    locked: Retargeting, run: Retargeting, name: str, other: str
+) -> None:
+    places = exposed(locked, name, other, spacing_mm=0.25)
+    assert len(places) > 10_000
+    (motion,) = (bone.motion for bone in kept_of(locked) if bone.name == name)
+    assert (motion.scale == 1.0) == (name == "bone_long")
+    off = np.linalg.norm(locked.result.deformation(places) - motion(places), axis=1)
+    assert off.max() < 1e-9
+    # without the lock the same places miss it
+    assert np.linalg.norm(run.result.deformation(places) - motion(places), axis=1).max() > 1e-3
+
+
+def test_a_run_with_locked_kept_bones_is_proved(locked: Retargeting) -> None:
+    side = locked.result.side
+    assert (side.status, side.map.claim.value) == ("converged", "certified")
+    assert side.map.margin > 0.0
+    assert side.landmarks.max_error_mm <= 1e-6
+    assert side.bones is not None
+    assert side.bones.residual_max_mm < 1e-9
+    assert {"bones.contact_zone_mm"} == {f.subject for f in locked.findings if f.code == "chosen-setting"}
+
+
+def test_maps_with_locked_kept_bones_are_undone_and_have_their_derivatives(locked: Retargeting) -> None:
+    deformation = locked.result.deformation
+    rng = np.random.default_rng(5)
+    on = np.concatenate([locked.result.rest[name].surface.vertices for name in ("bone_long", "bone_round", "muscle")])
+    points = on[rng.integers(len(on), size=1500)] + rng.normal(0.0, 2.0, (1500, 3))
+    moved, jacobians = deformation.with_jacobian(points)
+    np.testing.assert_allclose(deformation.inverse()(moved), points, rtol=0, atol=1e-8)
+    h = 1e-5
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        slope = (deformation(points + step) - deformation(points - step)) / (2.0 * h)
+        np.testing.assert_allclose(jacobians[:, :, axis], slope, rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize("half", [0.05, 0.5, 3.0])
+def test_bounds_of_locked_similarities_hold_at_every_place_tried(locked: Retargeting, half: float) -> None:
+    rng = np.random.default_rng(int(100 * half))
+    for step in locked.result.deformation.steps:
+        field = step.field
+        centres = np.concatenate([locked.result.rest[n].surface.vertices for n in ("bone_long", "bone_round")])
+        centres = centres[rng.integers(len(centres), size=150)] + rng.normal(0.0, 1.5, (150, 3))
+        halves = half * rng.uniform(0.3, 1.0, (150, 3))
+        gradients, radii = field.gradient_bounds(centres, halves)
+        ranges, _ = field.strain_bounds(centres, halves, enough=(-0.1, 0.1))
+        values, reach = field.displacement_bounds(centres, halves)
+        assert np.isfinite(radii).all()
+        for _ in range(40):
+            inner = centres + halves * np.clip(rng.uniform(-1.15, 1.15, centres.shape), -1.0, 1.0)
+            there, steep = field.displacement_and_gradient(inner)
+            assert (np.linalg.norm(steep - gradients, ord=2, axis=(1, 2)) <= radii + 1e-12).all()
+            eigenvalues = np.linalg.eigvalsh(0.5 * (steep + steep.transpose(0, 2, 1)))
+            assert (eigenvalues[:, 0] >= ranges[:, 0] - 1e-12).all()
+            assert (eigenvalues[:, -1] <= ranges[:, 1] + 1e-12).all()
+            assert (np.abs(there - values) <= reach + 1e-12).all()
 
 
 def test_slips_are_named(folder: Path) -> None:

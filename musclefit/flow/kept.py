@@ -20,7 +20,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import FieldError
 from musclefit.fields.compact import CompactBackend
 from musclefit.fields.ffd import FfdField
-from musclefit.fields.lattice_fit import LatticeBackend
+from musclefit.fields.lattice_fit import LatticeBackend, met_exactly
 from musclefit.fields.locked import Fade, LockedField
 from musclefit.fields.protocol import Backend, Field
 from musclefit.fields.rbf import RadialField
@@ -61,8 +61,11 @@ THINNED, LOCKED_ITERATIONS = 0.6, 10
 """Where bones are locked, the field need not come so close to them: how far apart the samples are that hold it, in
 units of the narrowest lattice's spacing, and the iterations of least squares."""
 
-EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
-"""Of the exact handles: conjugate gradients, started anew for what rounding left over, until they are met to this."""
+HELD = 0.2
+"""Where bones are locked, the field is held down to this clearance: so far into contact zones do locks have weight."""
+
+EXACT_PASSES, EXACT_MM = 4, 1e-10
+"""Of the exact handles: solved anew for what rounding left over, until they are met to this."""
 
 CARRIED = 0.05
 """A handle that locks leave no more than this share of the other parts' field goes with its bone."""
@@ -120,9 +123,9 @@ class KeptBone:
         Largest distance of the map from its motion at the bone, before any correction.
     surface : (v, 3) float64, mm
         Samples of its surface at rest.
-    contact : (v,) bool
-        Samples that come close to another kept bone, or into it: there the field is not held, since two bones that
-        move apart in their own ways, or into each other, leave no field that could follow both.
+    clearance : (v,) float64
+        How close each sample comes to another kept bone on the way, in units of their contact zone: 0 within it, 1
+        where it stays outside the zone.
     """
 
     name: str
@@ -130,7 +133,17 @@ class KeptBone:
     way: KeptWay
     bent_mm: float
     surface: Points
-    contact: Bool
+    clearance: Float
+
+    @property
+    def contact(self) -> Bool:
+        """(v,) samples that come close to another kept bone, or into it.
+
+        There the field is not held: two bones that move apart in their own ways, or into each other, leave no field
+        that could follow both.
+        """
+        near: Bool = self.clearance < 1.0
+        return near
 
     @property
     def motion(self) -> Similarity:
@@ -178,15 +191,15 @@ def kept_bones(
             times, motions = [0.0, 1.0], [*motions, _FITS[limit](sampled, moved)]
         bent = float(np.linalg.norm(motions[-1](sampled) - moved, axis=1).max())
         way = KeptWay(sampled.mean(axis=0), tuple(times), tuple(motions))
-        found.append(KeptBone(name, limit, way, bent, sampled, np.zeros(len(sampled), dtype=bool)))
+        found.append(KeptBone(name, limit, way, bent, sampled, np.ones(len(sampled))))
     return _with_contacts(anatomy, found, zones_mm)
 
 
 def _with_contacts(anatomy: Anatomy, bones: Sequence[KeptBone], zones: Float) -> tuple[KeptBone, ...]:
-    """The bones with their contact zones."""
+    """The bones with how close they come to each other."""
     times = np.linspace(0.0, bones[0].way.times[-1], PATH_SAMPLES) if bones else ()
     stands = [[bone.way.at(float(t)) for t in times] for bone in bones]
-    near = [np.zeros(len(bone.surface), dtype=bool) for bone in bones]
+    clear = [np.ones(len(bone.surface)) for bone in bones]
     for j, other in enumerate(bones):
         surface = anatomy[other.name].surface
         low, high, tree = surface.vertices.min(axis=0), surface.vertices.max(axis=0), DistanceTree(surface)
@@ -195,17 +208,17 @@ def _with_contacts(anatomy: Anatomy, bones: Sequence[KeptBone], zones: Float) ->
                 continue
             zone = float(zones[k, j])
             for mine, theirs in zip(stands[k], stands[j], strict=True):
-                left = np.flatnonzero(~near[k])
-                there = theirs.undone(mine(bone.surface[left]))
-                close = np.flatnonzero(((there > low - zone) & (there < high + zone)).all(axis=1))
-                if close.size:
-                    there = there[close]
-                    met = tree(there) < zone
-                    within = np.flatnonzero(~met & ((there > low) & (there < high)).all(axis=1))
-                    if within.size:
-                        met[within] = winding_numbers(surface, there[within]) > WITHIN
-                    near[k][left[close[met]]] = True
-    return tuple(replace(bone, contact=contact) for bone, contact in zip(bones, near, strict=True))
+                there = theirs.undone(mine(bone.surface))
+                close = np.flatnonzero(((there > low - zone) & (there < high + zone)).all(axis=1) & (clear[k] > 0.0))
+                if not close.size:
+                    continue
+                shares = np.minimum(tree(there[close]) / zone, 1.0)
+                boxed = np.flatnonzero(((there[close] > low) & (there[close] < high)).all(axis=1))
+                if boxed.size:
+                    within = winding_numbers(surface, there[close[boxed]]) > WITHIN
+                    shares[boxed[within]] = 0.0
+                clear[k][close] = np.minimum(clear[k][close], shares)
+    return tuple(replace(bone, clearance=clearance) for bone, clearance in zip(bones, clear, strict=True))
 
 
 def keeping_bones(
@@ -302,8 +315,8 @@ class _KeptStepper:
 class LockedBoneStepper:
     """One step per stretch, of a field in three parts: the handles', splines that hold the bones, and locks.
 
-    The splines take what the handles' part leaves of the bones' motions at their exposed samples, in the least squares
-    sense, and leave the handles where that part puts them. Each stretch starts from where the stretches before took the
+    The splines take what the handles' part leaves of the bones' motions at their samples, in the least squares sense,
+    and leave the handles where that part puts them. Each stretch starts from where the stretches before took the
     samples without locks (`trial_of_held`), so that errors do not add up.
 
     Parameters
@@ -314,7 +327,7 @@ class LockedBoneStepper:
         Of their part; it must make fields that bound themselves.
     bones : tuple of KeptBone
     samples : tuple of (e, 3) float64, mm
-        Of each bone's exposed places at rest, where the field is held.
+        Of each bone's places at rest where the field is held.
     beside : tuple of (a, 3) float64, mm
         Of each bone, places beside it at rest where the rule is tested, too.
     locked : tuple of int
@@ -366,9 +379,10 @@ class LockedBoneStepper:
         for bone, surface, fade in zip(bones, surfaces, fades, strict=True):
             chosen = thinned(bone.surface, spacing_mm=spacing)
             places, contact = bone.surface[chosen], bone.contact[chosen]
+            held = bone.clearance[chosen] >= HELD
             normals = smooth_normals(surface, nearest_places(places, surface))
             reach = np.where(contact, fade.apart_mm, fade.over_mm)
-            samples.append(places[~contact])
+            samples.append(places[held])
             beside.append(np.concatenate([places + (share * reach)[:, None] * normals for share in IN_GAPS]))
         return cls(path, backend, tuple(bones), tuple(samples), tuple(beside), tuple(locked), locks, tuple(lattices_mm))
 
@@ -402,13 +416,12 @@ class LockedBoneStepper:
             )
             locks = self.locks.of_step(self._stands(start), self._stands(end))
             field = LockedField(SummedField(first, splines), locks)
-            exact = LatticeBackend(self.lattices_mm, 0.1 * EXACT_MM, EXACT_ITERATIONS)
             for _ in range(EXACT_PASSES):
                 missed = _missed_by(field, first, handles)
                 off = np.flatnonzero(np.abs(missed).max(axis=1, initial=0.0) > EXACT_MM)
                 if not off.size:
                     break
-                splines = _added(splines, exact.fit(handles[off], missed[off], around=middles))
+                splines = met_exactly(splines, handles[off], missed[off])
                 field = replace(field, base=SummedField(first, splines))
             return CayleyStep(field)
 
@@ -447,11 +460,3 @@ def _missed_by(field: LockedField, first: Field, handles: Points) -> Points:
     least = np.where(free > CARRIED, free, np.inf)
     shares: Points = missed / least[:, None]
     return shares
-
-
-def _added(a: FfdField, b: FfdField) -> FfdField:
-    """The sum of two fields of splines on the same lattices."""
-    levels = zip(a.levels, b.levels, strict=True)
-    return replace(
-        a, levels=tuple(replace(one, coefficients=one.coefficients + two.coefficients) for one, two in levels)
-    )

@@ -267,7 +267,7 @@ def method_in_words(job: Job) -> str:
     name = "iterative {} (Yu et al. 2014)" if settings.step is StepKind.EXPLICIT else "implicit midpoint {}"
     bones = ", rigid bones" if job.rig.bones.rigid else ""
     if job.rig.bones.keep_rigid or job.rig.bones.keep_similar:
-        bones = ", bones kept"
+        bones = ", bones kept and locked" if job.rig.bones.lock else ", bones kept"
     field = field_in_words(settings)
     return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {_path_in_words(job)}"
 

@@ -14,7 +14,7 @@ from tiny_rigs import egg
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import RigError
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import KeptBone, kept_bones
+from musclefit.flow.kept import KeptBone, KeptWay, kept_bones
 from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.similar import Similarity
@@ -213,6 +213,51 @@ def test_slips_are_named(folder: Path) -> None:
         retarget(job, tets=None)
     with pytest.raises(RigError, match=r"have no effect beside bones.rigid"):
         BoneSettings(rigid=True, keep_rigid=("a",))
+
+
+def test_a_bone_with_a_handle_on_it_is_held_but_not_locked_and_named(folder: Path) -> None:
+    bone = egg((0.0, 0.0, -25.0), (6.0, 6.0, 30.0), subdivisions=3).vertices[::40]
+    skin = egg((0.0, 0.0, 0.0), (40.0, 40.0, 80.0), subdivisions=1).vertices
+    handles = np.concatenate([skin, bone])
+    for file, places in (("on.csv", handles), ("to.csv", swollen(handles))):
+        rows = [f"h{k},{x:.17g},{y:.17g},{z:.17g}" for k, (x, y, z) in enumerate(places)]
+        (folder / file).write_text("\n".join(["name,x,y,z", *rows]), encoding="utf-8")
+    table = RIG.replace('kind = "cage"', 'kind = "landmarks"\nunits = "mm"')
+    table = table.replace('"cage.ply"', '"on.csv"').replace('"target.ply"', '"to.csv"')
+    (folder / "landmarks.toml").write_text(table, encoding="utf-8")
+    job = read_rig(folder / "landmarks.toml", overrides=["bones.lock=true", "certificate.enabled=false"])
+    run = retarget(job, tets=None)
+    assert run.result.side.status == "converged"
+    assert run.result.side.landmarks.max_error_mm <= 1e-6
+    (said,) = (f for f in run.findings if f.code == "bone-not-locked")
+    assert said.subject == "bone_long"
+    assert "because a handle is 0 mm from it and must arrive" in said.message
+    round_ = next(
+        bone for bone in locked_march_of(job, job.anatomy.vertices(), progress=Silent())[1] if "round" in bone.name
+    )
+    off = np.linalg.norm(run.result.deformation(round_.exposed) - round_.motion(round_.exposed), axis=1)
+    assert off.max() < 1e-9
+
+
+def test_the_way_of_a_bone_meets_what_is_known_and_goes_evenly_between() -> None:
+    grown = Similarity(2.0, Rotation.from_rotvec([0.0, 0.0, 0.8]).as_matrix(), np.array([3.0, -1.0, 5.0]))
+    way = KeptWay(np.array([10.0, 0.0, 2.0]), (0.0, 0.5, 1.0), (Similarity.identity(), grown, grown))
+    places = np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
+    np.testing.assert_array_equal(way.at(0.0)(places), places)
+    np.testing.assert_array_equal(way.at(0.5)(places), grown(places))
+    np.testing.assert_allclose(way.at(0.7)(places), grown(places), rtol=0, atol=1e-12)
+    half = way.at(0.25)
+    assert half.scale == pytest.approx(2.0**0.5)
+    np.testing.assert_allclose(Rotation.from_matrix(half.rotation).as_rotvec(), [0.0, 0.0, 0.4], atol=1e-12)
+    centre = way.centre[None]
+    np.testing.assert_allclose(half(centre), 0.5 * (centre + grown(centre)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(half.undone(half(places)), places, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("other", ['deformer.step="explicit"', 'deformer.tested_at="landmarks"'])
+def test_locks_of_kept_bones_need_a_march_that_can_hold_them(folder: Path, other: str) -> None:
+    with pytest.raises(RigError, match=r"bones\.lock: found step .*; kept bones are locked by step \"cayley\""):
+        read_rig(folder / "kept.toml", overrides=["bones.lock=true", other])
 
 
 @given(st.integers(0, 10_000), st.floats(0.2, 5.0))

@@ -199,16 +199,21 @@ def _with_contacts(anatomy: Anatomy, bones: Sequence[KeptBone], zones: Float) ->
     """The bones with how close they come to each other."""
     times = np.linspace(0.0, bones[0].way.times[-1], PATH_SAMPLES) if bones else ()
     stands = [[bone.way.at(float(t)) for t in times] for bone in bones]
+    posed = [[motion(bone.surface) for motion in own] for bone, own in zip(bones, stands, strict=True)]
+    boxes = np.array([[(places.min(axis=0), places.max(axis=0)) for places in own] for own in posed])
     clear = [np.ones(len(bone.surface)) for bone in bones]
     for j, other in enumerate(bones):
         surface = anatomy[other.name].surface
         low, high, tree = surface.vertices.min(axis=0), surface.vertices.max(axis=0), DistanceTree(surface)
-        for k, bone in enumerate(bones):
+        for k in range(len(bones)):
             if k == j:
                 continue
             zone = float(zones[k, j])
-            for mine, theirs in zip(stands[k], stands[j], strict=True):
-                there = theirs.undone(mine(bone.surface))
+            for mine, theirs, own, whole in zip(posed[k], stands[j], boxes[k], boxes[j], strict=True):
+                reach = zone * theirs.scale
+                if (own[0] > whole[1] + reach).any() or (own[1] < whole[0] - reach).any():
+                    continue
+                there = theirs.undone(mine)
                 close = np.flatnonzero(((there > low - zone) & (there < high + zone)).all(axis=1) & (clear[k] > 0.0))
                 if not close.size:
                     continue

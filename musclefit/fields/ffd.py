@@ -168,7 +168,7 @@ class FfdField:
 
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field` and `ffd_bounds`."""
-        gradients, found = self._bounds(centres, half_widths, strain=False)
+        gradients, found = self.bounds_with(self.linear[None], centres, half_widths, strain=False)
         return gradients, found[:, 0]
 
     def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
@@ -187,7 +187,7 @@ class FfdField:
             and proves nothing.
         """
         del enough
-        gradients, found = self._bounds(centres, half_widths, strain=True)
+        gradients, found = self.bounds_with(self.linear[None], centres, half_widths, strain=True)
         middles = np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1)))[:, [0, -1]]
         return np.stack([-found[:, 0], found[:, 1]], axis=1), np.asarray(middles, dtype=np.float64)
 
@@ -209,7 +209,7 @@ class FfdField:
         affine = np.abs(self.translation) + reach @ np.abs(self.linear).T
         radii = 4e-15 * np.einsum("ik,bk->bi", slopes, reach) + 4e-14 * sum(sizes) + 4e-15 * affine
         if half_widths.any():
-            gradients, found = self._bounds(centres, half_widths, strain=False)
+            gradients, found = self.bounds_with(self.linear[None], centres, half_widths, strain=False)
             radii += np.einsum("bik,bk->bi", np.abs(gradients) + found[:, :1, None], half_widths) * (1.0 + 1e-14)
         return values, np.asarray(radii, dtype=np.float64)
 
@@ -222,13 +222,30 @@ class FfdField:
             translation=factor * self.translation,
         )
 
-    def _bounds(self, centres: Points, half_widths: Float, *, strain: bool) -> tuple[Gradients, Float]:
+    def bounds_with(
+        self, linears: Gradients, centres: Points, half_widths: Float, *, strain: bool
+    ) -> tuple[Gradients, Float]:
+        """Bounds over boxes of the splines and an affine part in place of the field's own: see `ffd_bounds.box_bounds`.
+
+        Parameters
+        ----------
+        linears : (1 or B, n, n) float64
+            The gradient of the affine part, for all boxes or for each.
+        centres, half_widths : (B, n) float64, mm
+        strain : bool
+
+        Returns
+        -------
+        (B, n, n), (B, 2) float64
+            Gradients at the centres; and how far they get from these and rounding, or for strain minus the lowest and
+            plus the highest eigenvalue.
+        """
         where = self._accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
         if not (half_widths >= 0.0).all():
             raise FieldError("a box has a negative half width; give half widths of at least 0 mm")
         gradients, found = np.zeros((len(where), *self.linear.shape)), np.zeros((len(where), 2))
-        box_bounds(self._lattices(), self.linear, where, half_widths, strain, gradients, found)
+        box_bounds(self._lattices(), np.array(linears, order="C"), where, half_widths, strain, gradients, found)
         return gradients, found
 
     def _lattices(self) -> tuple[Float, Float, Int, Int, Float]:

@@ -247,16 +247,18 @@ def _work():
 
 
 @njit(parallel=True, cache=True)
-def box_bounds(lattices, linear, centres, half_widths, strain, gradients, found):
+def box_bounds(lattices, linears, centres, half_widths, strain, gradients, found):
     """Bound the gradient or the strain of an affine part and all lattices over boxes.
 
-    ``lattices`` are corners (L, 3), spacings (L, 3), shapes (L, 3), where each level's coefficients start (L,), and all
-    coefficients one after the other. Writes the gradients at the centres (B, n, n) and (B, 2): proved radius and the
+    ``linears`` (1 or B, n, n) are the gradients of the affine part, one for all boxes or one for each; ``lattices`` are
+    corners (L, 3), spacings (L, 3), shapes (L, 3), where each level's coefficients start (L,), and all coefficients one
+    after the other. Writes the gradients at the centres (B, n, n) and (B, 2): proved radius and the
     rounding of the gradient at the centre; or, for strain, minus the lowest and plus the highest eigenvalue.
     """
     count, n = centres.shape
     for box in prange(count):
         work, hull = _work(), np.zeros((9, 64))
+        linear = linears[min(np.int64(box), len(linears) - 1)]
         low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
         centre = np.zeros((3, 3))
         own = _gradient_at(lattices, linear, n, centres[box], work, centre)

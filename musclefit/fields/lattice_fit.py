@@ -14,9 +14,11 @@ Comp. 55 (1990) 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
 
 from musclefit.errors import FieldError
 from musclefit.fields import bsplines
@@ -98,6 +100,50 @@ class LatticeBackend:
         return problem.field(found)
 
 
+def met_exactly(field: FfdField, at: Points, displacements: Points) -> FfdField:
+    """A field with the least change of its splines that adds displacements at a few points exactly.
+
+    Parameters
+    ----------
+    field : FfdField
+        In space.
+    at, displacements : (m, 3) float64, mm
+        Points that no spline sees cannot be met. All pairs are looked at: no more than thousands should be given.
+
+    Returns
+    -------
+    FfdField
+        On the same lattices. A lattice's splines share by the inverse of its spacing, as in `LatticeBackend`.
+    """
+    seen = [_seen_by(level.lattice, at) for level in field.levels]
+    shares = [1.0 / float(level.lattice.spacing[0]) for level in field.levels]
+    pairs = sum(share * (rows @ rows.T) for rows, share in zip(seen, shares, strict=True)).toarray()
+    weights = np.linalg.lstsq(pairs, displacements, rcond=1e-13)[0]
+    levels = tuple(
+        replace(level, coefficients=level.coefficients + share * (rows.T @ weights).reshape(level.coefficients.shape))
+        for level, rows, share in zip(field.levels, seen, shares, strict=True)
+    )
+    return replace(field, levels=levels)
+
+
+def _seen_by(lattice: Lattice, at: Points) -> Any:
+    """What each spline of a lattice contributes at points: a sparse matrix (m, lattice points)."""
+    places = (at - lattice.low) / lattice.spacing
+    cells = np.floor(places).astype(np.int64)
+    t = places - cells
+    s = 1.0 - t
+    along = np.stack([s**3, 4.0 + t * t * (3.0 * t - 6.0), 4.0 + s * s * (3.0 * s - 6.0), t**3], axis=2) / 6.0
+    nodes = cells[:, :, None] + np.arange(-1, 3)
+    here = (nodes >= 0) & (nodes < np.array(lattice.shape)[:, None])
+    along, nodes = np.where(here, along, 0.0), np.where(here, nodes, 0)
+    values = np.einsum("mi,mj,mk->mijk", along[:, 0], along[:, 1], along[:, 2]).reshape(len(at), -1)
+    i, j, k = nodes[:, 0, :, None, None], nodes[:, 1, None, :, None], nodes[:, 2, None, None, :]
+    numbers = ((i * lattice.shape[1] + j) * lattice.shape[2] + k).reshape(len(at), -1)
+    rows = np.repeat(np.arange(len(at)), values.shape[1])
+    size = (len(at), int(np.prod(lattice.shape)))
+    return coo_array((values.ravel(), (rows, numbers.ravel())), shape=size).tocsr()
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class _Problem:
     """The linear map from scaled coefficients to displacements, and its transpose."""
@@ -112,7 +158,8 @@ class _Problem:
         for lattice in lattices:
             seen = np.zeros((*lattice.shape, 1))
             bsplines.spread(lattice.low, lattice.spacing, at, np.ones((len(at), 1)), seen)
-            whole = float(np.quantile(seen[seen > 0.0], SEEN_SHARE))
+            some = seen[seen > 0.0]
+            whole = float(np.quantile(some, SEEN_SHARE)) if len(some) else 1.0  # of a level that no point sees
             scales.append(1.0 / np.sqrt(lattice.spacing[0] * (seen / whole + FLOOR)))
         return cls(at, lattices, scales)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+from scipy.spatial.transform import Rotation
+
 from musclefit.geometry.arrays import Float, Points, frozen
 from musclefit.geometry.rigid import RigidMotion
 
@@ -47,6 +49,41 @@ class Similarity:
         spread = float((turned**2).sum())
         scale = float((turned * (target - target_centre)).sum()) / spread if spread > 0.0 else 1.0
         return cls(scale, rotation, target_centre - scale * rotation @ source_centre)
+
+    @classmethod
+    def identity(cls) -> Self:
+        """The motion that moves nothing."""
+        return cls.rigid(RigidMotion.identity())
+
+    @property
+    def linear(self) -> Float:
+        """(3, 3) derivative: the rotation times the scale."""
+        whole: Float = self.scale * self.rotation
+        return whole
+
+    def towards(self, other: Similarity, share: float, *, centre: Float) -> Similarity:
+        """The similarity a share of the way to another.
+
+        It turns at one rate about one axis and grows at one rate, and a point goes straight.
+
+        Parameters
+        ----------
+        other : Similarity
+        share : float
+            In [0, 1].
+        centre : (3,) float64, mm
+            The point, before either.
+        """
+        scale = self.scale ** (1.0 - share) * other.scale**share
+        turn = Rotation.from_matrix(self.rotation.T @ other.rotation).as_rotvec()
+        rotation = self.rotation @ Rotation.from_rotvec(share * turn).as_matrix()
+        there = (1.0 - share) * self(centre[None])[0] + share * other(centre[None])[0]
+        return Similarity(scale, rotation, there - scale * rotation @ centre)
+
+    def undone(self, points: Points) -> Points:
+        """Move (N, 3) points back."""
+        back: Points = (points - self.translation) @ self.rotation / self.scale
+        return back
 
     def __call__(self, points: Points) -> Points:
         """Move (N, 3) points."""

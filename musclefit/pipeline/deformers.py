@@ -19,7 +19,7 @@ from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import KeptBone, keeping_bones, kept_bones
+from musclefit.flow.kept import KeptBone, LockedBoneStepper, keeping_bones, kept_bones, kept_samples
 from musclefit.flow.lattice import march_lattice
 from musclefit.flow.locks import BoneLocks, LockSettings
 from musclefit.flow.march import Marching, Pace, one_shot, points_beside
@@ -30,6 +30,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.distances import thinned
 from musclefit.geometry.meshes import TriMesh
 from musclefit.pipeline.choices import bone_choices
+from musclefit.pipeline.kept_choices import KeptChoices, kept_choices
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
@@ -44,9 +45,6 @@ from musclefit.rig.model import (
     TestedAt,
 )
 from musclefit.rig.section import suggestion
-
-KEPT_ZONE_MM = 4.0
-"""How close a kept bone comes to another where the field may slip along it, unless the rig says so."""
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
     {StepKind.EXPLICIT: explicit_step, StepKind.CAYLEY: cayley_step}
@@ -88,6 +86,9 @@ def deform(job: Job, points: Points, *, progress: Progress) -> Deformed:
     points : (N, 3) float64, mm
         The anatomy's vertices at rest, which the rule is tested at.
     """
+    if locks_kept(job):
+        march, kept = locked_march_of(job, points, progress=progress)
+        return Deformed(march if isinstance(march, Deformation) else march.deformation, (), kept)
     made, groups = march_of(job, points, progress=progress)
     free = made if isinstance(made, Deformation) else made.deformation
     return keep_bones(job, free, points, progress=progress) if bone_limits(job) else Deformed(free, groups)
@@ -138,8 +139,8 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
     points : (N, 3) float64, mm
         At rest: the rule is tested there.
     """
-    bones, settings = job.rig.bones, job.rig.deformer
-    kept = kept_bones(job.anatomy, free, limits=bone_limits(job), contact_zone_mm=kept_zone_mm(job))
+    bones, settings, limits = job.rig.bones, job.rig.deformer, bone_limits(job)
+    kept = kept_bones(job.anatomy, free, limits=limits, zones_mm=kept_choices(job, limits).zones_mm)
     held = keeping_bones(
         free,
         kept,
@@ -152,10 +153,59 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
     return Deformed(held, (), kept)
 
 
-def kept_zone_mm(job: Job) -> float:
-    """How close a kept bone comes to another where the field may slip along it."""
-    given = job.rig.bones.contact_zone_mm
-    return KEPT_ZONE_MM if given is None else given
+def locks_kept(job: Job) -> bool:
+    """True where kept bones are locked: they are part of the march then."""
+    limits = bone_limits(job)
+    return job.rig.bones.lock and bool(limits) and bool(kept_choices(job, limits).locked)
+
+
+def locked_march_of(
+    job: Job, points: Points, *, progress: Progress
+) -> tuple[Marching | Deformation, tuple[KeptBone, ...]]:
+    """March twice: free, which tells where the bones go, then with the bones locked.
+
+    Parameters
+    ----------
+    job : Job
+    points : (N, 3) float64, mm
+        At rest: the rule is tested there.
+
+    Returns
+    -------
+    Marching or Deformation
+        As `march_of` gives it; the free map where that does not come to its end.
+    tuple of KeptBone
+    """
+    settings, limits = job.rig.deformer, bone_limits(job)
+    chosen = kept_choices(job, limits)
+    pace = Pace(settings.max_steps, least_steps(job), settings.share, job.stops)
+    rule, backend = rule_for(settings.step, settings.step_rule), backend_for(settings)
+    tested = np.concatenate([points_beside(job.handles.source), *kept_samples(job.anatomy, limits)])
+    stepper = HandleStepper(job.path, backend, HANDLE_STEPS[settings.step])
+    free = Marching.begun(stepper, rule=rule, tested=tested, pace=pace).marched(progress).deformation
+    kept = kept_bones(job.anatomy, free, limits=limits, zones_mm=chosen.zones_mm)
+    if free.status is not Status.CONVERGED:
+        return free, kept
+    locking = _locked_stepper(job, kept, chosen, progress)
+    held = locking.held_points()
+    march = Marching.begun(locking, rule=rule, tested=np.vstack([points, held]), pace=pace, held=len(held))
+    return march.marched(progress), kept
+
+
+def _locked_stepper(job: Job, kept: tuple[KeptBone, ...], chosen: KeptChoices, progress: Progress) -> LockedBoneStepper:
+    """The stepper that follows the handles and carries the bones."""
+    surfaces = [job.anatomy[bone.name].surface for bone in kept]
+    settings = [chosen.locks[k] for k in chosen.locked]
+    return LockedBoneStepper.of(
+        job.path,
+        backend_for(job.rig.deformer),
+        kept,
+        surfaces=surfaces,
+        fades=[lock.fade for lock in chosen.locks],
+        locked=chosen.locked,
+        locks=BoneLocks.around([surfaces[k] for k in chosen.locked], settings, progress=progress),
+        lattices_mm=job.rig.bones.kept_lattices_mm,
+    )
 
 
 def least_steps(job: Job) -> int:
@@ -217,7 +267,7 @@ def method_in_words(job: Job) -> str:
     name = "iterative {} (Yu et al. 2014)" if settings.step is StepKind.EXPLICIT else "implicit midpoint {}"
     bones = ", rigid bones" if job.rig.bones.rigid else ""
     if job.rig.bones.keep_rigid or job.rig.bones.keep_similar:
-        bones = ", bones kept"
+        bones = ", bones kept and locked" if job.rig.bones.lock else ", bones kept"
     field = field_in_words(settings)
     return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {_path_in_words(job)}"
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import NotConvergedError
+from musclefit.flow.bones import RigidGroup
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept import KeptBone
 from musclefit.flow.riding import MAX_RETURNS, Riders, riders_of
@@ -19,7 +20,7 @@ from musclefit.geometry.arrays import Float, Gradients, Points
 from musclefit.geometry.surface_samples import EDGES_PER_SPACING, surface_samples
 from musclefit.geometry.volumes import area_vectors
 from musclefit.pipeline.choices import surface_choices
-from musclefit.pipeline.deformers import Deformed, bone_limits, keep_bones, march_of
+from musclefit.pipeline.deformers import Deformed, bone_limits, keep_bones, locked_march_of, locks_kept, march_of
 from musclefit.progress import Progress
 from musclefit.rig.job import Job
 from musclefit.rig.model import StepKind, TestedAt
@@ -86,10 +87,15 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     between, gap = _between(cut.anatomy, longest_mm=chosen.longest.most_mm)
     along = between if settings.step is StepKind.CAYLEY and settings.tested_at is TestedAt.ALL_POINTS else between[:0]
     tested = np.vstack([points, along])
-    made, groups = march_of(job, tested, progress=progress)
-    if bone_limits(job):
-        riders: Riders = KeptRiders.of(job, riders_of(made, tested, progress=progress), tested, progress)
+    if locks_kept(job):
+        march, kept = locked_march_of(job, tested, progress=progress)
+        groups: tuple[RigidGroup, ...] = ()
+        riders: Riders = riders_of(march, tested, progress=progress)
+    elif bone_limits(job):
+        made, groups = march_of(job, tested, progress=progress)
+        riders = KeptRiders.of(job, riders_of(made, tested, progress=progress), tested, progress)
     else:
+        made, groups = march_of(job, tested, progress=progress)
         riders = riders_of(made, tested, progress=progress)
     if surfaces.refine:
         carried, riders = finely_carried(cut, riders, tolerance_mm=chosen.chord_mm, whole=whole, progress=progress)
@@ -99,7 +105,8 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     deformation = riders.deformation
     if carried.unsolved and deformation.status is Status.CONVERGED:
         deformation = replace(deformation, status=Status.UNSOLVED)
-    kept = riders.kept if isinstance(riders, KeptRiders) else ()
+    if not locks_kept(job):
+        kept = riders.kept if isinstance(riders, KeptRiders) else ()
     of_between = np.linalg.det(riders.jacobians[len(points) : len(tested)])
     sampled = _looked_at(carried, deformation, between, gap, known=of_between if len(along) else None)
     return Made(Deformed(deformation, groups, kept), carried, sampled, riders.returns)

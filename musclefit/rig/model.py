@@ -392,7 +392,7 @@ class BoneSettings:
     ``lattices_mm`` are the spacings of the lattices of the part of the field that holds rigid bones,
     ``kept_lattices_mm`` those of the corrections that hold kept ones, wide to narrow. Places of a bone that come closer
     than ``contact_zone_mm`` to a bone that moves otherwise are its contact zone: there the field may slip along it.
-    ``lock`` makes the field exactly a rigid bone's motion on its whole surface (`musclefit.fields.locked`).
+    ``lock`` makes the field exactly a rigid or kept bone's motion on its whole surface (`musclefit.fields.locked`).
 
     Where no joint moves them, ``keep_rigid`` and ``keep_similar`` name bones (or shell-style patterns) that may only
     move rigidly, or only move and change their size: each gets the motion that fits the map best, and the field is
@@ -422,8 +422,11 @@ class BoneSettings:
                 "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones already; "
                 "remove them"
             )
-        if self.lock and not self.rigid:
-            raise RigError("bones.lock: locks rigid bones, but bones.rigid is false; set that, or remove lock")
+        if self.lock and not (self.rigid or self.keep_rigid or self.keep_similar):
+            raise RigError(
+                "bones.lock: locks rigid and kept bones, but bones.rigid is false and nothing is kept; set "
+                "bones.rigid, keep_rigid or keep_similar, or remove lock"
+            )
         lengths = {"handle_spacing_mm": self.handle_spacing_mm, "contact_zone_mm": self.contact_zone_mm}
         widths = {"lattices_mm": self.lattices_mm, "kept_lattices_mm": self.kept_lattices_mm}
         each = [(key, value) for key, values in widths.items() for value in values or ()]
@@ -713,9 +716,26 @@ class Rig:
             )
         if self.bones.rigid:
             _require_rigid_bones(self.drive, self.deformer)
+        elif self.bones.lock:
+            _require_locking_march(self.deformer)
         dotted = (key.partition(".") for key in METHOD_SETTINGS[self.deformer.method])
         settings = {f"{part}.{name}": getattr(getattr(self, part), name) for part, _, name in dotted}
         require_method(self.deformer.method, settings)
+
+
+def _require_locking_march(deformer: DeformerSettings) -> None:
+    """Raise RigError unless the deformer can lock kept bones: by implicit steps that are tested everywhere."""
+    if (
+        deformer.step is not StepKind.CAYLEY
+        or deformer.tested_at is not TestedAt.ALL_POINTS
+        or deformer.backend is BackendKind.LATTICE
+    ):
+        raise RigError(
+            f'bones.lock: found step "{deformer.step}", tested_at "{deformer.tested_at}" and backend '
+            f'"{deformer.backend}"; kept bones are locked by step "{StepKind.CAYLEY}", tested_at '
+            f'"{TestedAt.ALL_POINTS}" and backend "{BackendKind.RBF}" or "{BackendKind.FFD}"; write these, or '
+            "lock = false"
+        )
 
 
 def default_path(drive: Drive, bones: BoneSettings) -> PathKind:

@@ -7,7 +7,7 @@ import pytest
 
 from musclefit.errors import FieldError
 from musclefit.fields.ffd import FfdField
-from musclefit.fields.lattice_fit import FLOOR, SEEN_SHARE, LatticeBackend
+from musclefit.fields.lattice_fit import FLOOR, SEEN_SHARE, LatticeBackend, met_exactly
 from musclefit.geometry.arrays import Points
 
 
@@ -73,3 +73,31 @@ def test_a_lattice_too_large_is_refused() -> None:
     at = np.array([[0.0, 0.0, 0.0], [900.0, 900.0, 900.0]])
     with pytest.raises(FieldError, match="widen the spacing"):
         LatticeBackend((1.0,), 0.1, 5).fit(at, at, around=at)
+
+
+def test_a_few_points_are_met_exactly_and_nothing_changes_far_from_them() -> None:
+    rng = np.random.default_rng(2)
+    data = rng.uniform(-40.0, 40.0, (300, 3))
+    field = LatticeBackend((16.0, 8.0, 4.0), 0.0, 5).fit(data, rng.normal(size=(300, 3)), around=data)
+    at = np.concatenate([rng.uniform(-35.0, 35.0, (20, 3)), [[1.0, 2.0, 3.0], [1.0, 2.0, 3.5]]])
+    wanted = rng.normal(size=at.shape)
+    met = met_exactly(field, at, wanted)
+    np.testing.assert_allclose(met.displacement(at), field.displacement(at) + wanted, rtol=0, atol=1e-10)
+    far = np.array([[0.0, 0.0, 120.0]])
+    np.testing.assert_array_equal(met.displacement(far), field.displacement(far))
+
+
+def test_a_point_beside_a_fine_lattice_is_met_by_the_wide_ones() -> None:
+    data = np.random.default_rng(3).uniform(-10.0, 10.0, (200, 3))
+    field = LatticeBackend((16.0, 2.0), 0.0, 5).fit(data, data, around=data)
+    at, wanted = np.array([[22.0, 0.0, 0.0]]), np.array([[0.1, -0.2, 0.3]])
+    assert (field.levels[1].lattice.control_points().max(axis=0) < at).any()
+    met = met_exactly(field, at, wanted)
+    np.testing.assert_allclose(met.displacement(at), field.displacement(at) + wanted, rtol=0, atol=1e-12)
+
+
+def test_a_level_that_no_point_sees_stays_zero() -> None:
+    around = np.random.default_rng(4).uniform(-10.0, 10.0, (200, 3))
+    field = LatticeBackend((16.0, 2.0), 0.0, 5).fit(np.array([[22.0, 0.0, 0.0]]), np.ones((1, 3)), around=around)
+    assert not field.levels[1].coefficients.any()
+    np.testing.assert_allclose(field.displacement(np.array([[22.0, 0.0, 0.0]])), 1.0, rtol=0, atol=1e-9)

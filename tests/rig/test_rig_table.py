@@ -439,5 +439,5 @@ def test_keys_of_the_other_backend_are_errors(backend: str, key: str, value: str
 
 
 def test_a_lock_without_rigid_bones_is_refused():
-    with pytest.raises(RigError, match=r"bones\.lock: locks rigid bones, but bones\.rigid is false"):
+    with pytest.raises(RigError, match=r"bones\.lock: locks rigid and kept bones, but bones\.rigid is false"):
         BoneSettings(lock=True)

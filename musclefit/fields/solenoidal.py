@@ -115,6 +115,10 @@ class SolenoidalField:
             raise FieldError("fields on different lattices cannot be added; fit both on the same ones")
         return replace(self, levels=tuple(replace(a, coefficients=a.coefficients + b.coefficients) for a, b in pairs))
 
+    def beside(self, other: Self) -> Self:
+        """The sum of two fields, each on its own lattices."""
+        return replace(self, levels=self.levels + other.levels)
+
     def ceilings(self, centres: Points, half_widths: Float) -> Float:
         """(B, 2) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
 

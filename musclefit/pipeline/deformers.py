@@ -14,6 +14,7 @@ from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import RigError
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
@@ -266,8 +267,10 @@ def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
     spread = _spread_handles(job.handles, groups, spacing_mm=chosen.handle_spacing_mm)
     path = job.path if spread is None else JoinedPath(job.path, BonePath(spread, job.motions))
     settings = job.rig.deformer
+    splines = settings.backend is BackendKind.FFD
+    backend = IsochoricFfdBackend(2.0 * max(chosen.lattices_mm)) if splines else backend_for(settings)
     return BoneStepper(
-        HandleStepper(path, backend_for(settings), HANDLE_STEPS[settings.step]),
+        HandleStepper(path, backend, HANDLE_STEPS[settings.step]),
         groups=groups,
         motions=job.motions,
         exact=len(job.handles),

@@ -112,9 +112,7 @@ class _Problem:
     scales: list[Float]
 
     @classmethod
-    def of(
-        cls, at: Points, normals: Points, levels: tuple[PotentialLevel, ...], *, smoothness: float
-    ) -> _Problem:
+    def of(cls, at: Points, normals: Points, levels: tuple[PotentialLevel, ...], *, smoothness: float) -> _Problem:
         at, scales = np.ascontiguousarray(at, dtype=np.float64), []
         for level in levels:
             squares = np.zeros(len(level.coefficients))

@@ -248,7 +248,14 @@ class BoneStepper:
         return field
 
     def _local(
-        self, base: RadialField | CorrectedField, held: Points, targets: Points, anchors: Points, *, start: float, end: float
+        self,
+        base: RadialField | CorrectedField,
+        held: Points,
+        targets: Points,
+        anchors: Points,
+        *,
+        start: float,
+        end: float,
     ) -> SolenoidalField:
         """The bones' part: exposed vertices to their targets, and contact zones along their normals."""
         surfaces = self._surfaces(end)

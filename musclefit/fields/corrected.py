@@ -34,6 +34,13 @@ class CorrectedField:
     radial: RadialField
     local: SolenoidalField
 
+    @classmethod
+    def of(cls, base: RadialField | CorrectedField, local: SolenoidalField) -> Self:
+        """A field with a local part added to it, beside its own if it has one."""
+        if isinstance(base, CorrectedField):
+            return cls(base.radial, base.local.beside(local))
+        return cls(base, local)
+
     def displacement(self, points: Points) -> Points:
         """(N, 3) displacements at (N, 3) points, mm."""
         values: Points = self.radial.displacement(points) + self.local.displacement(points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -16,6 +17,11 @@ from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
 MAX_LATTICE_POINTS = 400_000_000
 """Lattice points of one level at most, used or not; 1.6 GB."""
+
+WEAK = 1e-3
+"""Of the eigenvalues of a level's strain in a box: up to this they are bounded by the level's ceiling alone."""
+
+_Lattices = tuple[Float, Float, Int, NDArray[np.int32], Points]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,6 +121,10 @@ class SolenoidalField:
             raise FieldError("fields on different lattices cannot be added; fit both on the same ones")
         return replace(self, levels=tuple(replace(a, coefficients=a.coefficients + b.coefficients) for a, b in pairs))
 
+    def beside(self, other: Self) -> Self:
+        """The sum of two fields, each on its own lattices."""
+        return replace(self, levels=self.levels + other.levels)
+
     def ceilings(self, centres: Points, half_widths: Float) -> Float:
         """(B, 3) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
 
@@ -123,10 +133,8 @@ class SolenoidalField:
         """
         where = _accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
-        found = np.zeros((len(where), KINDS))
-        for level in self._ceilings:
-            level.add_over(where, half_widths, found)
-        return found * (1.0 + 1e-14)
+        found: Float = self._by_level(where, half_widths).sum(axis=0) * (1.0 + 1e-14)
+        return found
 
     def bounds_with(
         self, gradients: Gradients, centres: Points, half_widths: Float, *, strain: bool
@@ -154,9 +162,24 @@ class SolenoidalField:
         if not (half_widths >= 0.0).all():
             raise FieldError("a box has a negative half width; give half widths of at least 0 mm")
         sums, found = np.empty((len(where), 3, 3)), np.empty((len(where), 2))
-        ceilings = self.ceilings(where, half_widths)[:, STRAIN if strain else GRADIENT].copy()
-        added = np.ascontiguousarray(gradients)
-        solenoidal_bounds.box_bounds(*self._lattices, added, where, half_widths, ceilings, strain, sums, found)
+        ceilings = self._by_level(where, half_widths)[:, :, STRAIN if strain else GRADIENT] * (1.0 + 1e-14)
+        counted = ceilings > (WEAK if strain else 0.0)
+        # A level that does not count in a box does not cut it at its knots: its ceiling is added.
+        for seen in np.unique(counted, axis=1).T:
+            some = np.flatnonzero((counted == seen[:, None]).all(axis=0))
+            parts, bounds = np.empty((len(some), 3, 3)), np.empty((len(some), 2))
+            solenoidal_bounds.box_bounds(
+                *self._lattices_of(tuple(np.flatnonzero(seen))),
+                np.ascontiguousarray(gradients[some]),
+                where[some],
+                half_widths[some],
+                np.ascontiguousarray(ceilings[seen][:, some].sum(axis=0) * (1.0 + 1e-14)),
+                strain,
+                parts,
+                bounds,
+            )
+            bounds[:, : 2 if strain else 1] += ceilings[~seen][:, some].sum(axis=0)[:, None] * (1.0 + 1e-14)
+            sums[some], found[some] = parts, bounds
         return sums, found
 
     def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
@@ -201,21 +224,37 @@ class SolenoidalField:
             for level in self.levels
         )
 
+    def _by_level(self, centres: Points, half_widths: Float) -> Float:
+        """(L, B, 3) the ceilings of each level."""
+        found = np.zeros((len(self.levels), len(centres), KINDS))
+        for level, own in zip(self._ceilings, found, strict=True):
+            level.add_over(centres, half_widths, own)
+        return found
+
+    def _lattices_of(self, chosen: tuple[int, ...]) -> _Lattices:
+        """Some levels as `solenoidal_bounds` takes them."""
+        if chosen not in self._known:
+            self._known[chosen] = _together([self.levels[k] for k in chosen])
+        return self._known[chosen]
+
     @cached_property
-    def _lattices(self) -> tuple[Float, Float, Int, NDArray[np.int32], Points]:
-        """All levels as `solenoidal_bounds` takes them."""
-        offsets = np.cumsum([0, *(len(level.coefficients) for level in self.levels)])
-        numbers = [
-            np.where(level.numbers < 0, -1, level.numbers + offset).ravel()
-            for level, offset in zip(self.levels, offsets, strict=False)
-        ]
-        return (
-            np.array([level.low for level in self.levels]).reshape(-1, 3),
-            np.array([level.spacing_mm for level in self.levels], dtype=np.float64),
-            np.array([level.numbers.shape for level in self.levels], dtype=np.int64).reshape(-1, 3),
-            np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32),
-            np.concatenate([np.zeros((0, 3)), *(level.coefficients for level in self.levels)]),
-        )
+    def _known(self) -> dict[tuple[int, ...], _Lattices]:
+        return {}
+
+
+def _together(levels: Sequence[PotentialLevel]) -> _Lattices:
+    offsets = np.cumsum([0, *(len(level.coefficients) for level in levels)])
+    numbers = [
+        np.where(level.numbers < 0, -1, level.numbers + offset).ravel()
+        for level, offset in zip(levels, offsets, strict=False)
+    ]
+    return (
+        np.array([level.low for level in levels]).reshape(-1, 3),
+        np.array([level.spacing_mm for level in levels], dtype=np.float64),
+        np.array([level.numbers.shape for level in levels], dtype=np.int64).reshape(-1, 3),
+        np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32),
+        np.concatenate([np.zeros((0, 3)), *(level.coefficients for level in levels)]),
+    )
 
 
 def _accepted(points: Points) -> Points:

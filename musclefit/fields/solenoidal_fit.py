@@ -25,7 +25,7 @@ from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
 from musclefit.geometry.arrays import Float, Points
 
 SMOOTHNESS = 1.5
-"""Power of a lattice's spacing by which its coefficients are scaled."""
+"""Power of a lattice's spacing by which its coefficients are scaled, unless another is asked for."""
 
 SEEN_SHARE = 0.9
 """Quantile of the contributions of a level's splines that counts as whole..."""
@@ -46,9 +46,12 @@ class SolenoidalBackend:
     ----------
     tolerance_mm : float
         Root mean square of what may be missed, at which the iteration ends.
+    smoothness : float
+        Power of a lattice's spacing by which its coefficients are scaled.
     """
 
     tolerance_mm: float
+    smoothness: float = SMOOTHNESS
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_mm < np.inf:
@@ -79,7 +82,7 @@ class SolenoidalBackend:
         iterations : int
             At most so many: what is missed shows in the displacements.
         """
-        problem = _Problem.of(at, slip_normals, on)
+        problem = _Problem.of(at, slip_normals, on, smoothness=self.smoothness)
         found = [np.zeros_like(level.coefficients) for level in on]
         residual = problem.seen(displacements)
         slope = problem.backward(residual)
@@ -109,13 +112,13 @@ class _Problem:
     scales: list[Float]
 
     @classmethod
-    def of(cls, at: Points, normals: Points, levels: tuple[PotentialLevel, ...]) -> _Problem:
+    def of(cls, at: Points, normals: Points, levels: tuple[PotentialLevel, ...], *, smoothness: float) -> _Problem:
         at, scales = np.ascontiguousarray(at, dtype=np.float64), []
         for level in levels:
             squares = np.zeros(len(level.coefficients))
             potentials.spread_squares(level.low, level.spacing_mm, level.numbers, at, squares)
             whole = float(np.quantile(squares, SEEN_SHARE)) if len(squares) else 1.0
-            scales.append((level.spacing_mm**SMOOTHNESS / np.sqrt(squares / (whole or 1.0) + FLOOR))[:, None])
+            scales.append((level.spacing_mm**smoothness / np.sqrt(squares / (whole or 1.0) + FLOOR))[:, None])
         return cls(at, normals, levels, scales)
 
     def seen(self, values: Points) -> Points:

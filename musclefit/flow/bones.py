@@ -206,15 +206,15 @@ class BoneStepper:
             targets = np.concatenate([there[: self.exact], *self._exposed(end)])
             held, anchors = tested[-len(targets) :], anchors[: sum(int(g.contact.sum()) for g in self.groups)]
             here[: self.exact] = held[: self.exact]
-            radial = self._radial(here, there)
-            local = self._local(radial, held, targets, anchors, start=start, end=end)
+            base = self._base(here, there)
+            local = self._local(base, held, targets, anchors, start=start, end=end)
             exact, moves = 0.5 * (here + there)[: self.exact], (there - here)[: self.exact]
-            base = CorrectedField(radial, local)
+            whole = CorrectedField.of(base, local)
             if self.locks is None:
-                return CayleyStep(_exact_at(exact, moves, base))
-            field = LockedField(base, self.locks.of_step(self._stands(start), self._stands(end)))
+                return CayleyStep(_exact_at(exact, moves, whole))
+            field = LockedField(whole, self.locks.of_step(self._stands(start), self._stands(end)))
             free = ~field.locked(exact)  # the others are carried by their bones, which are exact
-            return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], base)))
+            return CayleyStep(replace(field, base=_exact_at(exact[free], moves[free], whole)))
 
         return (make,)
 
@@ -237,15 +237,25 @@ class BoneStepper:
         motions = self.motions.at(t)
         return [Stand.of(motions[group.bones[0]]) for group in self.groups]
 
-    def _radial(self, here: Points, there: Points) -> RadialField:
+    def _base(self, here: Points, there: Points) -> RadialField | CorrectedField:
         """The handles' part."""
         field = self.handles.make(self.handles.backend, here, there).field
-        if not isinstance(field, RadialField):
-            raise FieldError("bones are held rigid in radial fields only; the backend makes fields of another kind")
+        if not isinstance(field, RadialField | CorrectedField):
+            raise FieldError(
+                f"bones are held rigid in radial sums and in curls of potentials; the backend made a "
+                f"{type(field).__name__}: use a RadialBackend or an IsochoricFfdBackend"
+            )
         return field
 
     def _local(
-        self, radial: RadialField, held: Points, targets: Points, anchors: Points, *, start: float, end: float
+        self,
+        base: RadialField | CorrectedField,
+        held: Points,
+        targets: Points,
+        anchors: Points,
+        *,
+        start: float,
+        end: float,
     ) -> SolenoidalField:
         """The bones' part: exposed vertices to their targets, and contact zones along their normals."""
         surfaces = self._surfaces(end)
@@ -256,10 +266,10 @@ class BoneStepper:
         local = backend.at_rest([self._seen_by(h, middles, middles[len(held) :]) for h in self.lattices_mm])
         for number in range(1 + SLIP_PASSES):
             if number:
-                slipped = CayleyStep(CorrectedField(radial, local))(anchors)
+                slipped = CayleyStep(CorrectedField.of(base, local))(anchors)
                 places, normals = self._nearest(surfaces, slipped)
             at = 0.5 * np.concatenate([held + targets, anchors + places])
-            left = np.concatenate([targets - held, places - anchors]) - CorrectedField(radial, local).displacement(at)
+            left = np.concatenate([targets - held, places - anchors]) - CorrectedField.of(base, local).displacement(at)
             more = backend.fit(
                 at,
                 left,

@@ -14,6 +14,7 @@ from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import RigError
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
 from musclefit.fields.rbf import RadialBackend
@@ -54,6 +55,10 @@ HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
 CONTACT_SAMPLED = 0.8
 """Longest edge of the bones' surfaces where the field is held to them in and around the contact zones, in units of the
 finest lattice: between coarser samples the field, which is steep there, would leak through the bone."""
+
+BASE_LATTICE = 4.0
+"""Spacing of the narrowest lattice of a free-form deformation that rigid bones are held in, in units of the widest of
+the lattices that hold them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -268,7 +273,8 @@ def method_in_words(job: Job) -> str:
     bones = ", rigid bones" if job.rig.bones.rigid else ""
     if job.rig.bones.keep_rigid or job.rig.bones.keep_similar:
         bones = ", bones kept and locked" if job.rig.bones.lock else ", bones kept"
-    field = field_in_words(settings)
+    splines = job.rig.bones.rigid and settings.backend is BackendKind.FFD
+    field = "isochoric FFD" if splines else field_in_words(settings)
     return f"{name.format(field)}{bones}, {rule_in_words(settings)}, {_path_in_words(job)}"
 
 
@@ -316,8 +322,11 @@ def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
     spread = _spread_handles(job.handles, groups, spacing_mm=chosen.handle_spacing_mm)
     path = job.path if spread is None else JoinedPath(job.path, BonePath(spread, job.motions))
     settings = job.rig.deformer
+    backend = backend_for(settings)
+    if settings.backend is BackendKind.FFD:
+        backend = IsochoricFfdBackend(BASE_LATTICE * max(chosen.lattices_mm))
     return BoneStepper(
-        HandleStepper(path, backend_for(settings), HANDLE_STEPS[settings.step]),
+        HandleStepper(path, backend, HANDLE_STEPS[settings.step]),
         groups=groups,
         motions=job.motions,
         exact=len(job.handles),

@@ -51,7 +51,7 @@ IDLE: Mapping[Method, tuple[str, ...]] = MappingProxyType(
             "deformer.lattice_spacing_mm",
             "deformer.lattice_levels",
         ),
-        Method.RIGID_BONES: ("deformer.step_rule",),
+        Method.RIGID_BONES: ("deformer.step_rule", "deformer.lattice_spacing_mm", "deformer.lattice_levels"),
     }
 )
 """Keys that a method has no use for."""

@@ -157,6 +157,8 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
             raise section.error(
                 "margin_floor", 'has no effect on "explicit" steps, which go as far as their rule allows; remove it'
             )
+    if bones.rigid:
+        _refuse_lattices_of_handles(_optional(root, "deformer"))
     surfaces = _record(SurfaceSettings, _optional(root, "surfaces"))
     certificate = _record(CertificateSettings, _optional(root, "certificate"))
     tets = _record(TetSettings, _optional(root, "tets"))
@@ -290,6 +292,13 @@ def _deformer(section: Section, *, path: PathKind) -> DeformerSettings:
             "step_rule", f'has no effect on "{settings.step}" steps{of}, which have a rule of their own; remove it'
         )
     return settings
+
+
+def _refuse_lattices_of_handles(section: Section) -> None:
+    """Rigid bones are held by lattices of their own, which those of their handles' field follow from."""
+    for key in _IDLE_KEYS[BackendKind.RBF]:
+        if key in section:
+            raise section.error(key, "has no effect on rigid bones, whose lattices are bones.lattices_mm; remove it")
 
 
 def _limits(section: Section, default: tuple[Purpose, str]) -> tuple[Limits, str]:

@@ -9,6 +9,9 @@ import pytest
 import trimesh
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.errors import FieldError
+from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.locked import Fade
 from musclefit.fields.rbf import RadialBackend
 from musclefit.flow.bones import BoneStepper, contact_residuals, rigid_groups
@@ -78,18 +81,26 @@ LOCKS = BoneLocks.around(
 )
 
 
-@pytest.fixture(scope="module", params=[None, LOCKS], ids=["fitted", "locked"])
+RADIAL, SPLINES = RadialBackend("isochoric-r3"), IsochoricFfdBackend(24.0)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[(RADIAL, None), (RADIAL, LOCKS), (SPLINES, None), (SPLINES, LOCKS)],
+    ids=["fitted", "locked", "fitted splines", "locked splines"],
+)
 def bent(request):
+    backend, locks = request.param
     handles = on_the_rods()
     path = BonePath(handles, MOTIONS)
     stepper = BoneStepper(
-        HandleStepper(path, RadialBackend("isochoric-r3"), cayley_step),
+        HandleStepper(path, backend, cayley_step),
         groups=GROUPS,
         motions=MOTIONS,
         exact=5,
         lattices_mm=(6.0, 3.0, 1.5),
         iterations=40,
-        locks=request.param,
+        locks=locks,
     )
     tested = np.vstack([ANATOMY.vertices(), stepper.held_points()])
     return stepper, path, march(stepper, rule=cayley_fractions, tested=tested, pace=Pace(50, 3)).require()
@@ -136,6 +147,21 @@ def test_the_handles_alone_do_not_keep_bones_rigid(bent):
     stepper, _, _ = bent
     plain = march(stepper.handles, rule=cayley_fractions, tested=ANATOMY.vertices(), pace=Pace(50, 3)).require()
     assert np.quantile(exposed_residuals(GROUPS, plain, MOTIONS.at(1.0)), 0.99) > 0.1
+
+
+def test_bones_are_held_in_fields_without_divergence_only():
+    path = BonePath(on_the_rods(), MOTIONS)
+    stepper = BoneStepper(
+        HandleStepper(path, FfdBackend(), cayley_step),
+        groups=GROUPS,
+        motions=MOTIONS,
+        exact=5,
+        lattices_mm=(6.0,),
+        iterations=1,
+    )
+    (make,) = stepper.makers(0.0, 1.0)
+    with pytest.raises(FieldError, match=r"the backend made a FfdField: use a RadialBackend or an IsochoricFfdBackend"):
+        make(stepper.held_points(), stepper.anchors(0.0))
 
 
 def test_the_contact_zone_slips_along_its_bone_and_not_through(bent):

@@ -175,6 +175,24 @@ def test_a_rule_of_explicit_steps_is_refused_with_the_method_that_has_none() -> 
         parsed(deformer={"step_rule": "gershgorin"})
 
 
+@pytest.mark.parametrize("key", ["lattice_spacing_mm", "lattice_levels"])
+def test_lattices_of_handles_are_refused_where_rigid_bones_have_their_own(key: str) -> None:
+    with pytest.raises(
+        RigError, match=rf"^knee.toml: deformer.{key}: has no effect on rigid bones, whose lattices are"
+    ):
+        parsed(deformer={"backend": "ffd", key: 8})
+    free = parsed(deformer={"method": "own", "backend": "ffd", key: 8}, bones={"rigid": False})
+    assert getattr(free.deformer, key) == 8
+
+
+def test_a_method_that_is_set_drops_lattices_of_handles() -> None:
+    own = table(deformer={"method": "own", "backend": "ffd", "lattice_spacing_mm": 8.0, "lattice_levels": 3})
+    best = overridden(own, "deformer.method=rigid-bones")
+    assert (best.deformer.backend, best.deformer.lattice_spacing_mm, best.bones.rigid) == ("rbf", 20.0, True)
+    splines = overridden(own, "deformer.method=rigid-bones", "deformer.backend=ffd")
+    assert (splines.deformer.backend, splines.deformer.lattice_spacing_mm) == ("ffd", 20.0)
+
+
 def test_a_method_without_bones_to_move_is_refused() -> None:
     with pytest.raises(RigError, match=r"bones.rigid: nothing says how bones move rigidly"):
         parsed("cage", deformer={"method": "rigid-bones"})

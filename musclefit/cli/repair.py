@@ -15,6 +15,7 @@ from rich.text import Text
 
 from musclefit.cli.progress import TimedStages
 from musclefit.cli.summary import print_failed
+from musclefit.errors import InputError
 from musclefit.rig.model import Unit
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ PASSED, FAILED = 0, 1
 
 WIDTH = 200
 """Columns of the table where there is no terminal."""
+
+CLEARANCE_MM = 0.1
+"""Of `anatomy.repairs.RepairSettings`, which takes too long to import for a line of help."""
 
 PAIRS_SHOWN = 20
 """Overlapping pairs in the terminal; all are in the report."""
@@ -58,7 +62,7 @@ def repair(
     clearance_mm: Annotated[
         float,
         Parameter(name="--clearance-mm", help="Distance that --resolve leaves between tissues.", show_default=True),
-    ] = 0.1,
+    ] = CLEARANCE_MM,
     max_change_percent: Annotated[
         float,
         Parameter(
@@ -108,6 +112,8 @@ def repair(
     from musclefit.pipeline.repair import repair as repaired
     from musclefit.report.repairs import repair_json
 
+    if resolve == "none" and (rule != "least-loss" or clearance_mm != CLEARANCE_MM):
+        raise InputError("--rule and --clearance-mm say how overlaps are taken away; add --resolve priority or split")
     settings = RepairSettings(
         limit_mm=limit_mm,
         thicken_mm=thicken_mm,

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from planted import ball, box, joined, moebius
 
+from musclefit.anatomy.repairs import RepairSettings
 from musclefit.cli import main
+from musclefit.cli.repair import CLEARANCE_MM
 from musclefit.geometry.faults import faults_of
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.volumes import enclosed_volume
@@ -153,7 +155,13 @@ def test_clearance_and_rule_are_options_and_told(tmp_path, capsys):
     assert (report["choice"], report["clearance_mm"]) == ("smaller", 0.2)
     assert main(["repair", str(folder), str(tmp_path / "no"), *options[:3], "5"]) == 2
     assert "clearance_mm is 5.0; expected at most 2" in capsys.readouterr().err
+    assert main(["repair", str(folder), str(tmp_path / "no"), "--rule", "smaller"]) == 2
+    assert "add --resolve priority or split" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
+
+
+def test_the_clearance_of_the_command_is_that_of_the_settings():
+    assert RepairSettings().clearance_mm == CLEARANCE_MM
 
 
 def test_a_dry_run_writes_nothing(tmp_path, capsys):

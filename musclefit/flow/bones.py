@@ -51,7 +51,7 @@ NARROW_REACH = 4.0
 """How far around contacts the narrowest lattice reaches where bones are locked, in units of its spacing."""
 
 IN_GAPS = (0.1, 0.3, 0.5)
-"""Where the rule is tested beside contact zones, in units of how far apart bones must be for both to be locked."""
+"""Where the rule is tested beside contact zones, in units of the gap: bones that are farther apart do not slip."""
 
 SAME_MOTION = 1e-9
 """Bones whose motions differ by less than this, in rotation entries and mm, move as one."""
@@ -171,6 +171,9 @@ class BoneStepper:
     locks : BoneLocks or None
         Of the groups, in their order: on the bones' surfaces and around them the field of every step is then their
         rigid motion. The held points go where the field would take them without locks (`trial_of_held`).
+    gaps_mm : sequence of float
+        For each group, how wide the gaps are between which bones slip: there is no tissue to test the rule at, but the
+        field is steepest there. Empty: it is not tested in gaps.
     """
 
     handles: HandleStepper
@@ -180,6 +183,7 @@ class BoneStepper:
     lattices_mm: Sequence[float]
     iterations: int
     locks: BoneLocks | None = None
+    gaps_mm: Sequence[float] = ()
 
     def held_points(self) -> Points:
         """(h, 3) points at rest that a march must have as its last tested points, mm."""
@@ -193,9 +197,9 @@ class BoneStepper:
     def anchors(self, start: float) -> Points:
         """(a, 3) vertices of the contact zones, exactly on their bones at the start, and places in the gaps between.
 
-        Where a lock gives way to slip, the field is steeper between bones than on them.
+        Where bones slip, the field is steeper between them than on them.
         """
-        beside = [] if self.locks is None else self._in_gaps(start)
+        beside = self._in_gaps(start) if self.gaps_mm else []
         return np.concatenate([self._slipping(start), *beside])
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
@@ -300,11 +304,10 @@ class BoneStepper:
 
     def _in_gaps(self, t: float) -> list[Points]:
         """Places beside the contact zones, outside the bones."""
-        assert self.locks is not None
         places = self._slipping(t)
         _, normals = self._nearest(self._surfaces(t), places)
-        apart = np.repeat([fade.apart_mm for fade in self.locks.fades], [int(g.contact.sum()) for g in self.groups])
-        return [places + (share * apart)[:, None] * normals for share in IN_GAPS]
+        gaps = np.repeat(np.asarray(self.gaps_mm, dtype=np.float64), [int(g.contact.sum()) for g in self.groups])
+        return [places + (share * gaps)[:, None] * normals for share in IN_GAPS]
 
     def _by_group(self, contacts: Points) -> list[Points]:
         counts = [int(group.contact.sum()) for group in self.groups]

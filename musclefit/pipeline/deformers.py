@@ -333,6 +333,7 @@ def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:
         lattices_mm=chosen.lattices_mm,
         iterations=chosen.iterations,
         locks=_locks(job.anatomy, groups, chosen.locks, progress) if bones.lock else None,
+        gaps_mm=tuple(lock.fade.apart_mm for lock in chosen.locks),
     )
 
 

@@ -14,7 +14,7 @@ from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.locked import Fade
 from musclefit.fields.rbf import RadialBackend
-from musclefit.flow.bones import BoneStepper, contact_residuals, rigid_groups
+from musclefit.flow.bones import IN_GAPS, BoneStepper, contact_residuals, rigid_groups
 from musclefit.flow.deformation import Status
 from musclefit.flow.locks import BoneLocks, LockSettings
 from musclefit.flow.march import Pace, march
@@ -22,6 +22,7 @@ from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
 from musclefit.flow.surfaces import carried, carried_finely
 from musclefit.geometry.crossings import self_crossings
+from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.solids import overlap_volume, solid_of
@@ -84,6 +85,9 @@ LOCKS = BoneLocks.around(
 RADIAL, SPLINES = RadialBackend("isochoric-r3"), IsochoricFfdBackend(24.0)
 
 
+GAP = 4.0
+
+
 @pytest.fixture(
     scope="module",
     params=[(RADIAL, None), (RADIAL, LOCKS), (SPLINES, None), (SPLINES, LOCKS)],
@@ -101,6 +105,7 @@ def bent(request):
         lattices_mm=(6.0, 3.0, 1.5),
         iterations=40,
         locks=locks,
+        gaps_mm=(GAP, GAP),
     )
     tested = np.vstack([ANATOMY.vertices(), stepper.held_points()])
     return stepper, path, march(stepper, rule=cayley_fractions, tested=tested, pace=Pace(50, 3)).require()
@@ -169,6 +174,18 @@ def test_the_contact_zone_slips_along_its_bone_and_not_through(bent):
     off = contact_residuals(GROUPS, deformation, MOTIONS)
     assert len(off) == sum(int(group.contact.sum()) for group in GROUPS)
     assert off.max() < 1.0
+
+
+def test_the_rule_holds_in_the_gaps_between_bones(bent):
+    stepper, _, deformation = bent
+    contacts = sum(int(group.contact.sum()) for group in GROUPS)
+    for step, record in zip(deformation.steps, deformation.records, strict=True):
+        beside = stepper.anchors(record.start)[contacts:]
+        assert len(beside) == len(IN_GAPS) * contacts
+        assert cayley_fractions(step.trial(beside).gradients).min() > 1.0
+    rest = [group.at(MOTIONS.at(0.0)) for group in GROUPS]
+    apart = np.min([nearest_places(stepper.anchors(0.0)[contacts:], bone).distances for bone in rest], axis=0)
+    assert apart.max() == pytest.approx(max(IN_GAPS) * GAP, rel=0.01)
 
 
 def test_stretches_compose_to_the_whole(bent):

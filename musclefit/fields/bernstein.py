@@ -6,7 +6,8 @@ Every row of weights is not negative and sums to 1, so that nothing cancels (L. 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from musclefit.compiling import njit
 
 MAX_KNOTS = 128
 """Knots along one axis that are told apart; more make the box coarse."""

@@ -10,8 +10,8 @@ added to the half diagonals and, times ``second``, to the radius.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.box_sums import sum_block
 from musclefit.fields.eigenvalues import eigenvalue_floor
 from musclefit.fields.terms import LANES, SMALL, rounding_share
@@ -99,8 +99,10 @@ def _derivative_square(sums, i):
     return -eigenvalue_floor(-gram[0], -gram[1], -gram[2], -gram[3], -gram[4], -gram[5])
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@threaded(over="boxes", each=LANES, error_model="numpy")
 def gradient_boxes(
+    begin,
+    end,
     code,
     isochoric,
     scale,
@@ -125,7 +127,7 @@ def gradient_boxes(
     points of a box that are within this distance of its centre count; infinite for all.
     """
     count, m = boxes.shape[0], sizes.size
-    for block in prange((count + LANES - 1) // LANES):
+    for block in range(begin, end):
         start, stop = block * LANES, min(count, (block + 1) * LANES)
         h = _half_diagonals(half_widths, balls, start, stop, blur)
         sums = sum_block(
@@ -220,8 +222,10 @@ def _corner_floor(parts, half, ball, sign, quick):
     return middle, max(lowest, middle - deviation)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@threaded(over="boxes", each=LANES, error_model="numpy")
 def strain_boxes(
+    begin,
+    end,
     code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur,
     planar, enough, bounds, middles,
 ):  # fmt: skip
@@ -231,7 +235,7 @@ def strain_boxes(
     where sources are too near for the box to tell. ``enough`` (2,): bounds at least that good need no tightening.
     """
     count, m = boxes.shape[0], sizes.size
-    for block in prange((count + LANES - 1) // LANES):
+    for block in range(begin, end):
         start, stop = block * LANES, min(count, (block + 1) * LANES)
         h = _half_diagonals(half_widths, balls, start, stop, blur)
         sums = sum_block(

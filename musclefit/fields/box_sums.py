@@ -6,8 +6,8 @@ Nothing is reassociated or contracted; see `bounds` for what that is worth.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.fields.terms import (
     LANES,
     R2,

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.solenoidal_bounds import add_level, level_workspace
 from musclefit.geometry.arrays import Float, Int, Points
 
@@ -81,9 +81,9 @@ def _mark_cells(numbers, seen):
                     seen[i : i + 4, j : j + 4, k : k + 4] = True
 
 
-@njit(parallel=True, cache=True)
-def _fill_cells(low, spacing, numbers, coefficients, seen, cells):
-    for i in prange(seen.shape[0]):
+@threaded(over="seen")
+def _fill_cells(begin, end, low, spacing, numbers, coefficients, seen, cells):
+    for i in range(begin, end):
         work, hull = level_workspace(), np.zeros((9, 64))
         a, b = np.zeros(3), np.zeros(3)
         for j in range(seen.shape[1]):
@@ -111,18 +111,18 @@ def _fill_cells(low, spacing, numbers, coefficients, seen, cells):
                 cells[1, i, j, k] = (np.sqrt(2.0 / 3.0 * strained) + 4.0 * rounding) * 1.000001
 
 
-@njit(parallel=True, cache=True)
-def _fill_blocks(below, above):
-    for i in prange(above.shape[1]):
+@threaded(over="above", axis=1)
+def _fill_blocks(begin, end, below, above):
+    for i in range(begin, end):
         for which in range(2):
             for j in range(above.shape[2]):
                 for k in range(above.shape[3]):
                     above[which, i, j, k] = below[which, 2 * i : 2 * i + 2, 2 * j : 2 * j + 2, 2 * k : 2 * k + 2].max()
 
 
-@njit(parallel=True, cache=True)
-def _look_up(low, spacing, flat, starts, shapes, centres, half_widths, out):
-    for box in prange(len(centres)):
+@threaded(over="centres", least=64)
+def _look_up(begin, end, low, spacing, flat, starts, shapes, centres, half_widths, out):
+    for box in range(begin, end):
         first, last, most = np.zeros(3, np.int64), np.zeros(3, np.int64), 0
         beside = False
         for axis in range(3):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from musclefit.compiling import njit
 
 NORM_ROUNDING = 1.0 + 1e-13
 """A norm's own rounding: powers and roots of sums of at most 9 positive terms."""

@@ -12,8 +12,8 @@ Boxes with more than `MAX_PARTS` parts are bounded by given ceilings (`ceilings`
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.bernstein import (
     MAX_KNOTS,
     along_first,
@@ -195,9 +195,22 @@ def _bound_box(
         found[0], found[1] = max(best[0], 0.0) + worst, own
 
 
-@njit(parallel=True, cache=True)
+@threaded(over="centres")
 def box_bounds(
-    lows, spacings, shapes, numbers_of, coefficients_of, added, centres, half_widths, ceilings, strain, gradients, found
+    begin,
+    end,
+    lows,
+    spacings,
+    shapes,
+    numbers_of,
+    coefficients_of,
+    added,
+    centres,
+    half_widths,
+    ceilings,
+    strain,
+    gradients,
+    found,
 ):
     """Bound the gradient or the strain of all levels, plus a matrix for each box, over boxes.
 
@@ -206,7 +219,7 @@ def box_bounds(
     centres (B, 3, 3), and (B, 2): proved radius and the rounding at the centre, or minus the lowest and plus the
     highest eigenvalue.
     """
-    for box in prange(len(centres)):
+    for box in range(begin, end):
         _bound_box(
             lows,
             spacings,

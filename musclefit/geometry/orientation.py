@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
 

@@ -49,6 +49,14 @@ def _slack(sums, i, h, m, blur):
 
 
 @njit(cache=True, error_model="numpy")
+def _total(sums, i):
+    total = 0.0
+    for row in range(sums.shape[0]):
+        total += sums[row, i]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
 def _quadratic(sums, i, half, h, symmetric):
     """Bound of the second-derivative term over the box: half of the sup of |sum of e_k e_m M_km| (Frobenius).
 
@@ -153,7 +161,7 @@ def gradient_boxes(
             slack = _slack(sums, i, h[i], m, blur)
             quadratic = _quadratic(sums, i, half, h[i], False) if isochoric or code <= 2 else 0.0
             radii[start + i] = (np.sqrt(longest) + quadratic + sums[28, i] + slack) * (1.0 + rounding_share(m))
-            if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
+            if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
                 radii[start + i] = np.inf
 
 
@@ -248,11 +256,11 @@ def strain_boxes(
             half = half_widths[start + i]
             quadratic = _quadratic(sums, i, half, h[i], True) if isochoric or code <= 2 else 0.0
             loss = (quadratic + sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
-            middle, low = _corner_floor(parts, half, balls[start + i], 1.0, enough[0] + loss)
-            bounds[start + i, 0], middles[start + i, 0] = low - loss, middle
-            middle, low = _corner_floor(parts, half, balls[start + i], -1.0, loss - enough[1])
-            bounds[start + i, 1], middles[start + i, 1] = loss - low, -middle
+            for side in range(2):  # one call, so that it is compiled into this once
+                sign = 1.0 - 2.0 * side
+                middle, low = _corner_floor(parts, half, balls[start + i], sign, sign * enough[side] + loss)
+                bounds[start + i, side], middles[start + i, side] = sign * (low - loss), sign * middle
             if sums[32, i] > UNRESOLVED:
                 middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan
-            if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
+            if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
                 bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from musclefit.cli.progress import TimedStages
 from musclefit.io.rig_names import find_rig
-from musclefit.report.sequence import SequenceReport
 from musclefit.rig.motion import Interpolation
+
+if TYPE_CHECKING:
+    from musclefit.report.sequence import SequenceReport
 
 PASSED, FAILED = 0, 1
 

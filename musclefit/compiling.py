@@ -44,12 +44,13 @@ _PACKAGE = Path(__file__).resolve().parent
 _IMPORTS = re.compile(r"^\s*from musclefit((?:\.\w+)*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 
-def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """As Numba's own, but kept in the folder that all processes share."""
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """As Numba's own, but where ``cache`` is true kept in the folder that all processes share."""
+    kept = options.pop("cache", False)
 
     def compiled(function: Callable[..., Any]) -> Any:
         made = numba.njit(no_cfunc_wrapper=True, **options)(function)
-        if cache:
+        if kept:
             made._cache = SharedCache(function)
         return made
 

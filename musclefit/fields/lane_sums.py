@@ -6,6 +6,8 @@ adds the polynomial part.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from musclefit.compiling import njit, threaded
@@ -20,7 +22,7 @@ from musclefit.fields.lanes import (
     zero,
 )
 
-OUTER = {"fastmath": INNER["fastmath"], "error_model": "numpy"}
+OUTER: dict[str, Any] = {"fastmath": INNER["fastmath"], "error_model": "numpy"}
 
 TINY = 1e-180
 """Added to squared distances (mm²), so that a centre itself gives 0, not NaN."""

@@ -10,6 +10,8 @@ reassociated for speed; certificates use their own loops, which are not.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from llvmlite import ir
 from numba import types
@@ -21,7 +23,7 @@ FAST = {"reassoc", "contract", "arcp", "nsz"}
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""
 
 INNER = {"fastmath": FAST, "error_model": "numpy", "forceinline": True}
-OUTER = {"fastmath": FAST, "error_model": "numpy"}
+OUTER: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
 TINY = 1e-180
 """Added to squared distances (mm²) where a profile divides by r, so that a centre itself gives 0, not NaN."""

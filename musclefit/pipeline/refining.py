@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -228,11 +229,18 @@ def _moved_as_wholes(job: Job) -> frozenset[str]:
 
 def _cut(job: Job, whole: frozenset[str]) -> CutAnatomy:
     surfaces = job.rig.surfaces
-    if not surfaces.refine:
-        return CutAnatomy(job.anatomy, {}, job.anatomy)
-    return cut_at_rest(job.anatomy, longest_mm=surfaces.longest_edge_mm, whole=whole)
+    return _cut_once(job.anatomy, surfaces.longest_edge_mm if surfaces.refine else None, whole)
 
 
+@lru_cache(maxsize=2)
+def _cut_once(anatomy: Anatomy, longest_mm: float | None, whole: frozenset[str]) -> CutAnatomy:
+    """The surfaces cut at rest, for every pose that the same anatomy is sent to; as they are without a length."""
+    if longest_mm is None:
+        return CutAnatomy(anatomy, {}, anatomy)
+    return cut_at_rest(anatomy, longest_mm=longest_mm, whole=whole)
+
+
+@lru_cache(maxsize=2)
 def _between(anatomy: Anatomy, *, longest_mm: float) -> tuple[Points, float]:
     """Samples of the surfaces that are none of their vertices, and the largest gap that they leave, mm."""
     area = sum(float(np.linalg.norm(area_vectors(tissue.surface), axis=1).sum()) for tissue in anatomy)

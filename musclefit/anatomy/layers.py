@@ -6,16 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float
-from musclefit.geometry.distances import nearest_places
-from musclefit.geometry.sizing import NO_SIZING, SizingField, sizing_field
 from musclefit.geometry.volumes import enclosed_volume
+
+if TYPE_CHECKING:
+    from musclefit.geometry.sizing import SizingField
+
+# SciPy is imported where it is used: every rig has settings of layers, and ``musclefit --help`` should be quick.
 
 FILLER = "filler"
 """What fills the room between the tissues and the skin: fat, fascia, vessels, whatever has no surface of its own."""
@@ -120,6 +123,8 @@ class LayerRules:
 
     def sizing(self, anatomy: Anatomy) -> SizingField:
         """Where edges are shorter than the general length: near tissues that ask for it, and in gaps."""
+        from musclefit.geometry.sizing import NO_SIZING, sizing_field
+
         coarsest = self.edge_length_fraction * diagonal_mm(anatomy)
         places, lengths = [], []
         for tissue in anatomy:
@@ -150,6 +155,10 @@ def gap_widths(anatomy: Anatomy, *, gaps: Gaps, up_to_mm: float) -> Mapping[str,
     if gaps is Gaps.NONE:
         return {}
     tissues = [t for t in anatomy if t.kind is TissueKind.BONE or (gaps is Gaps.ALL and t.kind is not TissueKind.SKIN)]
+    from scipy.spatial import cKDTree
+
+    from musclefit.geometry.distances import nearest_places
+
     trees = [cKDTree(t.surface.vertices) for t in tissues]
     found = {}
     for k, tissue in enumerate(tissues):

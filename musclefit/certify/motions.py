@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Points, Tets
 from musclefit.geometry.orientation import integers, triple_products

@@ -25,7 +25,6 @@ from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.progress import TimedStages
 from musclefit.cli.repair import repair
 from musclefit.cli.sequence import sequence
-from musclefit.cli.summary import print_inspection, print_run
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
@@ -187,6 +186,8 @@ def check(
     if json:
         _print_json(to_json(report) if out is None else _written(out))
     elif not quiet:
+        from musclefit.cli.summary import print_inspection
+
         print_inspection(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
 
@@ -245,10 +246,12 @@ def _run(
     quiet: bool,
     json: bool,
 ) -> int:
+    from musclefit.compiling_ahead import start_ahead
     from musclefit.io.outputs import check_writable
     from musclefit.io.rigs import read_rig
 
     check_writable(out)
+    start_ahead()
     with TimedStages(shown=not quiet) as stages:
         job = read_rig(rig, overrides=overrides, points=points, progress=stages)
         for finding in job.findings:
@@ -270,6 +273,8 @@ def _run(
     if json:
         _print_json(_written(out))
     elif not quiet:
+        from musclefit.cli.summary import print_run
+
         print_run(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
 

@@ -14,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from musclefit.cli.progress import TimedStages
-from musclefit.cli.summary import print_failed
 from musclefit.errors import InputError
 from musclefit.rig.model import Unit
 
@@ -164,6 +163,8 @@ def print_repair(report: RepairReport, *, where: str) -> None:
         console.print(Text(f"note: {finding.message}"))
     if report.resolved is not None:
         _print_resolved(console, report.resolved)
+    from musclefit.cli.summary import print_failed
+
     print_failed(console, report.checks)
     console.print(Text(where))
 

@@ -6,7 +6,8 @@ Every row of weights is not negative and sums to 1, so that nothing cancels (L. 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from musclefit.compiling import njit
 
 MAX_KNOTS = 128
 """Knots along one axis that are told apart; more make the box coarse."""
@@ -126,10 +127,13 @@ def knots_between(corners, spacings, counts, low, high, found):
             if low < place < high:
                 if count + 1 >= len(found):
                     return -1
-                found[count] = place
+                at = count
+                while found[at - 1] > place:  # in order; compiling a sort takes a second
+                    found[at] = found[at - 1]
+                    at -= 1
+                found[at] = place
                 count += 1
     found[count] = high
-    found[: count + 1].sort()
     kept = 1
     for k in range(1, count + 1):
         if found[k] > found[kept - 1]:

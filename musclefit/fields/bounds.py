@@ -10,8 +10,8 @@ added to the half diagonals and, times ``second``, to the radius.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.box_sums import sum_block
 from musclefit.fields.eigenvalues import eigenvalue_floor
 from musclefit.fields.terms import LANES, SMALL, rounding_share
@@ -46,6 +46,14 @@ def _slack(sums, i, h, m, blur):
     """Rounding of the matrix and of its derivatives over the box, and the blur of coordinates."""
     rounded = 4.0 * rounding_share(m) * (sums[29, i] + h * (sums[30, i] + h * sums[31, i]))
     return rounded + blur * (sums[30, i] + 2.0 * h * sums[31, i]) + SMALL
+
+
+@njit(cache=True, error_model="numpy")
+def _total(sums, i):
+    total = 0.0
+    for row in range(sums.shape[0]):
+        total += sums[row, i]
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,8 +107,10 @@ def _derivative_square(sums, i):
     return -eigenvalue_floor(-gram[0], -gram[1], -gram[2], -gram[3], -gram[4], -gram[5])
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@threaded(over="boxes", each=LANES, error_model="numpy")
 def gradient_boxes(
+    begin,
+    end,
     code,
     isochoric,
     scale,
@@ -125,7 +135,7 @@ def gradient_boxes(
     points of a box that are within this distance of its centre count; infinite for all.
     """
     count, m = boxes.shape[0], sizes.size
-    for block in prange((count + LANES - 1) // LANES):
+    for block in range(begin, end):
         start, stop = block * LANES, min(count, (block + 1) * LANES)
         h = _half_diagonals(half_widths, balls, start, stop, blur)
         sums = sum_block(
@@ -151,7 +161,7 @@ def gradient_boxes(
             slack = _slack(sums, i, h[i], m, blur)
             quadratic = _quadratic(sums, i, half, h[i], False) if isochoric or code <= 2 else 0.0
             radii[start + i] = (np.sqrt(longest) + quadratic + sums[28, i] + slack) * (1.0 + rounding_share(m))
-            if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
+            if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
                 radii[start + i] = np.inf
 
 
@@ -220,8 +230,10 @@ def _corner_floor(parts, half, ball, sign, quick):
     return middle, max(lowest, middle - deviation)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@threaded(over="boxes", each=LANES, error_model="numpy")
 def strain_boxes(
+    begin,
+    end,
     code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur,
     planar, enough, bounds, middles,
 ):  # fmt: skip
@@ -231,7 +243,7 @@ def strain_boxes(
     where sources are too near for the box to tell. ``enough`` (2,): bounds at least that good need no tightening.
     """
     count, m = boxes.shape[0], sizes.size
-    for block in prange((count + LANES - 1) // LANES):
+    for block in range(begin, end):
         start, stop = block * LANES, min(count, (block + 1) * LANES)
         h = _half_diagonals(half_widths, balls, start, stop, blur)
         sums = sum_block(
@@ -244,11 +256,11 @@ def strain_boxes(
             half = half_widths[start + i]
             quadratic = _quadratic(sums, i, half, h[i], True) if isochoric or code <= 2 else 0.0
             loss = (quadratic + sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
-            middle, low = _corner_floor(parts, half, balls[start + i], 1.0, enough[0] + loss)
-            bounds[start + i, 0], middles[start + i, 0] = low - loss, middle
-            middle, low = _corner_floor(parts, half, balls[start + i], -1.0, loss - enough[1])
-            bounds[start + i, 1], middles[start + i, 1] = loss - low, -middle
+            for side in range(2):  # one call, so that it is compiled into this once
+                sign = 1.0 - 2.0 * side
+                middle, low = _corner_floor(parts, half, balls[start + i], sign, sign * enough[side] + loss)
+                bounds[start + i, side], middles[start + i, side] = sign * (low - loss), sign * middle
             if sums[32, i] > UNRESOLVED:
                 middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan
-            if not np.isfinite(sums[:, i].sum()):  # an overflow proves nothing
+            if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
                 bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf

@@ -6,8 +6,8 @@ Nothing is reassociated or contracted; see `bounds` for what that is worth.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.fields.terms import (
     LANES,
     R2,
@@ -254,8 +254,10 @@ def _offsets(x, y, z, places, block):
 def sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, h):
     """Sums (PARTS, LANES) over the sources: ``boxes`` (3, LANES) local centres, ``h`` half diagonals with blur."""
     block = np.zeros(SUMS + PARTS * LANES)
-    places = boxes.copy().reshape(-1)
-    block[H : H + LANES] = h
+    places = np.empty(3 * LANES)
+    for i in range(LANES):  # assigning slices takes seconds to compile
+        block[H + i] = h[i]
+        places[i], places[LANES + i], places[2 * LANES + i] = boxes[0, i], boxes[1, i], boxes[2, i]
     middle, radius = _enclosing_ball(boxes, h)
     for j in range(sizes.size):
         x, y, z = sources[0, j], sources[1, j], sources[2, j]
@@ -275,8 +277,12 @@ def sum_block(code, isochoric, scale, extent, table, reach, sources, weights, si
             if code <= 2:
                 _add_scalar_third(u, v, w, block)
         _add_remainders(sizes[j], block)
-    sums = block[SUMS:].copy().reshape(PARTS, LANES)
-    parts = np.abs(linear).sum()
+    sums, parts = np.empty((PARTS, LANES)), 0.0
+    for k in range(PARTS):
+        for i in range(LANES):
+            sums[k, i] = block[SUMS + k * LANES + i]
+    for k in range(9):
+        parts += abs(linear[k // 3, k % 3])
     for i in range(LANES):
         sums[29, i] += parts
         for k in range(9):
@@ -289,7 +295,10 @@ def _enclosing_ball(boxes, h):
     """A ball around all boxes of a block."""
     middle = np.empty(3)
     for k in range(3):
-        middle[k] = 0.5 * (boxes[k].min() + boxes[k].max())
+        low, high = boxes[k, 0], boxes[k, 0]
+        for i in range(1, h.size):
+            low, high = min(low, boxes[k, i]), max(high, boxes[k, i])
+        middle[k] = 0.5 * (low + high)
     radius = 0.0
     for i in range(h.size):
         x, y, z = boxes[0, i] - middle[0], boxes[1, i] - middle[1], boxes[2, i] - middle[2]

@@ -10,7 +10,8 @@ sees is.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from musclefit.compiling import njit, threaded
 
 SIDE = 8
 """Cells of a brick along each axis."""
@@ -78,35 +79,33 @@ def _sum_at(low, h, bricks, values, x, y, z, w, d):
     return min(total / 65535.0, 1.0), gx / per, gy / per, gz / per
 
 
-@njit(parallel=True, cache=True)
-def moved_values_at(low, h, bricks, values, turn, shift, points, sums, gradients):
+@threaded(over="points", least=BLOCK)
+def moved_values_at(begin, end, low, h, bricks, values, turn, shift, points, sums, gradients):
     """Write sums (N,) and their gradients (N, 3), per mm, at points (N, 3) that stand for turn x + shift.
 
     ``turn`` (3, 3) and ``shift`` (3,) take a point to the lattice's frame; gradients are by the point as given.
     """
-    n = points.shape[0]
-    for block in prange((n + BLOCK - 1) // BLOCK):
-        w, d = np.zeros((3, 3)), np.zeros((3, 3))
-        for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            a, b, c = points[p, 0], points[p, 1], points[p, 2]
-            x = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c + shift[0]
-            y = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c + shift[1]
-            z = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c + shift[2]
-            found, gx, gy, gz = _sum_at(low, h, bricks, values, x, y, z, w, d)
-            sums[p] = found
-            gradients[p, 0] = gx * turn[0, 0] + gy * turn[1, 0] + gz * turn[2, 0]
-            gradients[p, 1] = gx * turn[0, 1] + gy * turn[1, 1] + gz * turn[2, 1]
-            gradients[p, 2] = gx * turn[0, 2] + gy * turn[1, 2] + gz * turn[2, 2]
+    w, d = np.zeros((3, 3)), np.zeros((3, 3))
+    for p in range(begin, end):
+        a, b, c = points[p, 0], points[p, 1], points[p, 2]
+        x = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c + shift[0]
+        y = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c + shift[1]
+        z = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c + shift[2]
+        found, gx, gy, gz = _sum_at(low, h, bricks, values, x, y, z, w, d)
+        sums[p] = found
+        gradients[p, 0] = gx * turn[0, 0] + gy * turn[1, 0] + gz * turn[2, 0]
+        gradients[p, 1] = gx * turn[0, 1] + gy * turn[1, 1] + gz * turn[2, 1]
+        gradients[p, 2] = gx * turn[0, 2] + gy * turn[1, 2] + gz * turn[2, 2]
 
 
-@njit(parallel=True, cache=True)
-def with_borders(bricks, places, inner, values):
+@threaded(over="places")
+def with_borders(begin, end, bricks, places, inner, values):
     """Write rows (R, 1000) from the values (R, 8, 8, 8) of every brick's own nodes and those of the bricks around.
 
     ``places`` (R, 3) says which brick a row belongs to. A node has one value, whichever brick it is seen from: only so
     the sum is continuous from brick to brick.
     """
-    for row in prange(len(places)):
+    for row in range(begin, end):
         for i in range(ACROSS):
             for j in range(ACROSS):
                 for k in range(ACROSS):
@@ -127,10 +126,10 @@ def with_borders(bricks, places, inner, values):
                     values[row, (i * ACROSS + j) * ACROSS + k] = value
 
 
-@njit(parallel=True, cache=True)
-def brick_ranges(values, out):
+@threaded(over="values")
+def brick_ranges(begin, end, values, out):
     """For each brick (R, 1000) write (R, 5): lowest and highest value, and largest difference along each axis."""
-    for row in prange(values.shape[0]):
+    for row in range(begin, end):
         least, most, x, y, z = 65535, 0, 0, 0, 0
         for i in range(ACROSS):
             for j in range(ACROSS):
@@ -160,15 +159,15 @@ def _value(bricks, values, i, j, k):
     return np.int64(values[row, ((i % SIDE + 1) * ACROSS + j % SIDE + 1) * ACROSS + k % SIDE + 1])
 
 
-@njit(parallel=True, cache=True)
-def value_ranges(low, h, bricks, values, ranges, centres, half_widths, gradients, out):
+@threaded(over="centres", least=64)
+def value_ranges(begin, end, low, h, bricks, values, ranges, centres, half_widths, gradients, out):
     """Proved ranges over boxes of centres and half widths (B, 3), mm, in the lattice's own frame.
 
     ``ranges`` is what `brick_ranges` gives, and ``gradients`` (B, 3) are those at the centres. Writes
     (B, 4): lowest and highest sum, largest length of the gradient, and how far it gets from that at the centre.
     """
     top = 1.0 + 1e-12
-    for box in prange(centres.shape[0]):
+    for box in range(begin, end):
         first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)
         wide, beside, reach = 0, False, 0.0
         for axis in range(3):

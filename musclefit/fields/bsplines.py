@@ -8,7 +8,8 @@ zero, so that a sum is twice continuously differentiable in all of space. A poin
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from musclefit.compiling import njit, threaded
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""
@@ -118,13 +119,13 @@ def _rows(coefficients, box, weights, slopes, rows):
                     rows[2, q] += weights[0, a] * slopes[1, b] * value
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def spline_sum(low, spacing, coefficients, points, out):
+@threaded(over="points", each=BLOCK, fastmath=FAST)
+def spline_sum(begin, end, low, spacing, coefficients, points, out):
     """Add the sum at points (N, 2 or 3) to ``out`` (N, components)."""
     n, components = points.shape[0], coefficients.shape[3]
     flat, counts = points.shape[1] == 2, coefficients.shape[:3]
     lines = coefficients.reshape(counts[0], counts[1], counts[2] * components)
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         weights, slopes, box = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 3), np.int64)
         rows = np.zeros((3, 4 * components))
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
@@ -141,13 +142,13 @@ def spline_sum(low, spacing, coefficients, points, out):
                 out[p, c] += total
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def spline_sum_with_gradient(low, spacing, coefficients, points, out, gradients):
+@threaded(over="points", each=BLOCK, fastmath=FAST)
+def spline_sum_with_gradient(begin, end, low, spacing, coefficients, points, out, gradients):
     """Add the sum to ``out`` (N, components) and its derivatives to ``gradients`` (N, components, 2 or 3)."""
     n, components = points.shape[0], coefficients.shape[3]
     flat, counts = points.shape[1] == 2, coefficients.shape[:3]
     lines = coefficients.reshape(counts[0], counts[1], counts[2] * components)
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         weights, slopes, box = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 3), np.int64)
         rows = np.zeros((3, 4 * components))
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
@@ -189,16 +190,16 @@ def _pair_weights(x, y, low, spacing, window, flat, a, b, d, along):
     return i - j - 3, 7
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def spline_gram(low, spacing, window0, window1, window2, covariance, points, out):
+@threaded(over="points", least=16, fastmath=FAST)
+def spline_gram(begin, end, low, spacing, window0, window1, window2, covariance, points, out):
     """Gram matrix (m, m) of the splines' values at (m, 2 or 3) points under a stationary covariance of coefficients.
 
     ``covariance`` is the table over offsets, with offset zero in its middle; offsets outside it have none. Every
     coefficient carries the product of its windows. The offsets of two points' coefficients collapse to 7 per axis.
     """
-    m, flat = points.shape[0], points.shape[1] == 2
+    flat = points.shape[1] == 2
     r0, r1, r2 = covariance.shape[0] // 2, covariance.shape[1] // 2, covariance.shape[2] // 2
-    for p in prange(m):
+    for p in range(begin, end):
         a, b, d = np.empty(4), np.empty(4), np.empty(4)
         along0, along1, along2 = np.empty(7), np.empty(7), np.empty(7)
         for q in range(p + 1):

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.solenoidal_bounds import add_level, level_workspace
 from musclefit.geometry.arrays import Float, Int, Points
 
@@ -84,9 +84,9 @@ def _mark_cells(numbers, seen):
                     seen[i : i + 4, j : j + 4, k : k + 4] = True
 
 
-@njit(parallel=True, cache=True)
-def _fill_cells(low, spacing, numbers, coefficients, seen, cells):
-    for i in prange(seen.shape[0]):
+@threaded(over="seen")
+def _fill_cells(begin, end, low, spacing, numbers, coefficients, seen, cells):
+    for i in range(begin, end):
         work, hull = level_workspace(), np.zeros((9, 64))
         a, b = np.zeros(3), np.zeros(3)
         for j in range(seen.shape[1]):
@@ -132,21 +132,27 @@ def _largest_step(hull, stride):
     return largest
 
 
-@njit(parallel=True, cache=True)
-def _fill_blocks(below, above):
-    for i in prange(above.shape[1]):
+@threaded(over="above", axis=1)
+def _fill_blocks(begin, end, below, above):
+    for i in range(begin, end):
         for which in range(KINDS):
             for j in range(above.shape[2]):
                 for k in range(above.shape[3]):
-                    above[which, i, j, k] = below[which, 2 * i : 2 * i + 2, 2 * j : 2 * j + 2, 2 * k : 2 * k + 2].max()
+                    largest = below[which, 2 * i, 2 * j, 2 * k]
+                    for p in range(2 * i, min(2 * i + 2, below.shape[1])):
+                        for q in range(2 * j, min(2 * j + 2, below.shape[2])):
+                            for r in range(2 * k, min(2 * k + 2, below.shape[3])):
+                                largest = max(largest, below[which, p, q, r])
+                    above[which, i, j, k] = largest
 
 
-@njit(parallel=True, cache=True)
-def _look_up(low, spacing, flat, starts, shapes, centres, half_widths, out):
-    for box in prange(len(centres)):
+@threaded(over="centres", least=64)
+def _look_up(begin, end, low, spacing, flat, starts, shapes, centres, half_widths, out):
+    for box in range(begin, end):
         first, last, most = np.zeros(3, np.int64), np.zeros(3, np.int64), 0
-        beside = False
+        beside, total = False, 0.0
         for axis in range(3):
+            total += centres[box, axis] + half_widths[box, axis]
             size = abs(centres[box, axis]) + half_widths[box, axis] + abs(low[axis])
             slack = 1e-14 * (size / spacing + 1.0)
             u = (centres[box, axis] - half_widths[box, axis] - low[axis]) / spacing - slack
@@ -155,7 +161,7 @@ def _look_up(low, spacing, flat, starts, shapes, centres, half_widths, out):
             first[axis] = int(np.floor(min(max(u, -2.0), shapes[0, axis] - 3.0))) + 2
             last[axis] = int(np.floor(min(max(v, -2.0), shapes[0, axis] - 3.0))) + 2
             most = max(most, last[axis] - first[axis] + 1)
-        if beside and np.isfinite(centres[box].sum() + half_widths[box].sum()):
+        if beside and np.isfinite(total):
             continue
         height = 0
         while most > LOOKED_AT and height + 1 < len(shapes):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from musclefit.compiling import njit
 
 NORM_ROUNDING = 1.0 + 1e-13
 """A norm's own rounding: powers and roots of sums of at most 9 positive terms."""
@@ -85,7 +86,11 @@ def largest_norm(hull, centre, traces):
         pxy, pxz = xx * xy + xy * yy + xz * yz, xx * xz + xy * yz + xz * zz
         pyz = xy * xz + yy * yz + yz * zz
         traces[lane] = pxx * pxx + pyy * pyy + pzz * pzz + 2.0 * (pxy * pxy + pxz * pxz + pyz * pyz)
-    return largest * traces.max() ** 0.125 * NORM_ROUNDING
+    steepest = 0.0
+    for lane in range(64):
+        if not (traces[lane] <= steepest or np.isnan(steepest)):
+            steepest = traces[lane]
+    return largest * steepest**0.125 * NORM_ROUNDING
 
 
 @njit(cache=True)
@@ -96,6 +101,15 @@ def floor_of(m, n, sign):
         return eigenvalue_floor(a, b, a, d, 0.0, 0.0)
     e, f = 0.5 * sign * (m[0, 2] + m[2, 0]), 0.5 * sign * (m[1, 2] + m[2, 1])
     return eigenvalue_floor(a, b, sign * m[2, 2], d, e, f)
+
+
+@njit(cache=True)
+def _floor_at(hull, lane, n, sign):
+    """`floor_of` one of 64 matrices."""
+    m = np.empty((3, 3))
+    for row in range(9):
+        m[row // 3, row % 3] = hull[row, lane]
+    return floor_of(m, n, sign)
 
 
 @njit(cache=True)
@@ -131,7 +145,7 @@ def ceiling_of_hull(hull, n, sign, found, clear):
         if guess < least:
             least, first = guess, lane
     slack = 1e-7 * largest
-    ceiling = max(found, slack - floor_of(hull[:, first].copy().reshape(3, 3), n, sign))
+    ceiling = max(found, slack - _floor_at(hull, first, n, sign))
     _clear(hull, n, sign, ceiling, largest + abs(ceiling), clear)
     for lane in range(64):
         if clear[lane]:
@@ -141,7 +155,7 @@ def ceiling_of_hull(hull, n, sign, found, clear):
             same = same and hull[row, lane] == hull[row, first]
         if same:
             continue
-        value = slack - floor_of(hull[:, lane].copy().reshape(3, 3), n, sign)
+        value = slack - _floor_at(hull, lane, n, sign)
         if not value <= ceiling:
             ceiling, first = value, lane
             _clear(hull, n, sign, ceiling, largest + abs(ceiling), clear)
@@ -155,11 +169,15 @@ def widen_by_hull(hull, n, centre, strain, found, lanes, clear):
     ``found`` is [radius] of the distance from the centre, or for strain [-lowest, highest] eigenvalue of the symmetric
     parts; ``lanes`` and ``clear`` are (64,) to work in.
     """
-    if not np.isfinite(hull.sum()):  # proves nothing
+    total = 0.0
+    for row in range(9):
+        for lane in range(64):
+            total += hull[row, lane]
+    if not np.isfinite(total):  # proves nothing
         found[:] = np.inf
         return
     if not strain:
         found[0] = max(found[0], largest_norm(hull, centre, lanes))
         return
-    found[0] = ceiling_of_hull(hull, n, 1.0, found[0], clear)
-    found[1] = ceiling_of_hull(hull, n, -1.0, found[1], clear)
+    for side in range(2):  # one call, so that it is compiled into this once
+        found[side] = ceiling_of_hull(hull, n, 1.0 - 2.0 * side, found[side], clear)

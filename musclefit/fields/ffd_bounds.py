@@ -25,8 +25,8 @@ L. Piegl, W. Tiller, The NURBS Book, 2nd ed. (1997), sections 3.3 and 5.2; L. Ra
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.bernstein import (
     MAX_KNOTS,
     along_first,
@@ -246,8 +246,8 @@ def _work():
     )
 
 
-@njit(parallel=True, cache=True)
-def box_bounds(lattices, linears, centres, half_widths, strain, gradients, found):
+@threaded(over="centres")
+def box_bounds(begin, end, lattices, linears, centres, half_widths, strain, gradients, found):
     """Bound the gradient or the strain of an affine part and all lattices over boxes.
 
     ``linears`` (1 or B, n, n) are the gradients of the affine part, one for all boxes or one for each; ``lattices`` are
@@ -255,8 +255,8 @@ def box_bounds(lattices, linears, centres, half_widths, strain, gradients, found
     after the other. Writes the gradients at the centres (B, n, n) and (B, 2): proved radius and the
     rounding of the gradient at the centre; or, for strain, minus the lowest and plus the highest eigenvalue.
     """
-    count, n = centres.shape
-    for box in prange(count):
+    n = centres.shape[1]
+    for box in range(begin, end):
         work, hull = _work(), np.zeros((9, 64))
         linear = linears[min(np.int64(box), len(linears) - 1)]
         low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)

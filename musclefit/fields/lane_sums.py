@@ -6,9 +6,11 @@ adds the polynomial part.
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit, prange
+from typing import Any
 
+import numpy as np
+
+from musclefit.compiling import njit, threaded
 from musclefit.fields.lanes import (
     INNER,
     SHARE,
@@ -20,7 +22,7 @@ from musclefit.fields.lanes import (
     zero,
 )
 
-OUTER = {"fastmath": INNER["fastmath"], "error_model": "numpy", "parallel": True, "cache": True}
+OUTER: dict[str, Any] = {"fastmath": INNER["fastmath"], "error_model": "numpy"}
 
 TINY = 1e-180
 """Added to squared distances (mm²), so that a centre itself gives 0, not NaN."""
@@ -190,15 +192,15 @@ def _load_points(points, origin, start, block):
             block[k, lane] = points[i, k] - origin[k]
 
 
-@njit(**OUTER)
-def values_in_lanes(kernel, soft, points, origin, affine, sources, values):
+@threaded(over="points", each=BLOCK, **OUTER)
+def values_in_lanes(begin, end, kernel, soft, points, origin, affine, sources, values):
     """Write t + L x + sum_j K(x - c_j) w_j, x being points minus origin, to values (N, 3).
 
     Affine is (4, 3): t and the rows of L; sources are (m, 9): centre, local to the origin, weight w and 3 w.
     ``soft`` is the square of a mollifier's length, TINY where there is none.
     """
     n = points.shape[0]
-    for task in prange((n + BLOCK - 1) // BLOCK):
+    for task in range(begin, end):
         block = np.empty((6, WIDTH))
         for start in range(task * BLOCK, min(n, (task + 1) * BLOCK), WIDTH):
             _load_points(points, origin, start, block)
@@ -213,11 +215,11 @@ def values_in_lanes(kernel, soft, points, origin, affine, sources, values):
                     values[start + lane, k] = line + block[3 + k, lane]
 
 
-@njit(**OUTER)
-def gradients_in_lanes(kernel, soft, points, origin, affine, sources, values, gradients):
+@threaded(over="points", each=BLOCK, **OUTER)
+def gradients_in_lanes(begin, end, kernel, soft, points, origin, affine, sources, values, gradients):
     """As ``values_in_lanes``, with the derivatives (N, 3, 3)."""
     n = points.shape[0]
-    for task in prange((n + BLOCK - 1) // BLOCK):
+    for task in range(begin, end):
         block = np.empty((15, WIDTH))
         for start in range(task * BLOCK, min(n, (task + 1) * BLOCK), WIDTH):
             _load_points(points, origin, start, block)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import operator
 
 from llvmlite import binding, ir
-from numba import config, njit, types
+from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+from musclefit.compiling import njit
 
 FAST = ("reassoc", "contract", "arcp", "nsz")
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""

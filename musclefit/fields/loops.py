@@ -10,16 +10,20 @@ reassociated for speed; certificates use their own loops, which are not.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from llvmlite import ir
-from numba import njit, prange, types
+from numba import types
 from numba.extending import intrinsic
+
+from musclefit.compiling import njit, threaded
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""
 
 INNER = {"fastmath": FAST, "error_model": "numpy", "forceinline": True}
-OUTER = {"fastmath": FAST, "error_model": "numpy", "parallel": True, "cache": True}
+OUTER: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
 TINY = 1e-180
 """Added to squared distances (mm²) where a profile divides by r, so that a centre itself gives 0, not NaN."""
@@ -305,11 +309,11 @@ def _part(of, start, stop):
     return of[0, start:stop], of[1, start:stop], of[2, start:stop]
 
 
-@njit(**OUTER)
-def radial_sum(kernel, scale, points, centres, weights, low, width, counts, starts, out):
+@threaded(over="points", each=BLOCK, **OUTER)
+def radial_sum(begin, end, kernel, scale, points, centres, weights, low, width, counts, starts, out):
     """Add sum_j K(x_i - c_j) w_j to ``out`` (N, 3); centres and weights are (3, m), in the order of their cells."""
     n = points.shape[0]
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         runs = np.empty((9, 2), np.int64)
         for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             where = (points[i, 0], points[i, 1], points[i, 2])
@@ -318,11 +322,11 @@ def radial_sum(kernel, scale, points, centres, weights, low, width, counts, star
                 _any_row(kernel, scale, where, _part(centres, start, stop), _part(weights, start, stop), out[i])
 
 
-@njit(**OUTER)
-def radial_sum_with_gradient(kernel, scale, points, centres, weights, low, width, counts, starts, out):
+@threaded(over="points", each=BLOCK, **OUTER)
+def radial_sum_with_gradient(begin, end, kernel, scale, points, centres, weights, low, width, counts, starts, out):
     """Add the sum and its gradient to ``out`` (N, 12): 3 values, then 9 derivatives row by row."""
     n = points.shape[0]
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         runs = np.empty((9, 2), np.int64)
         for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             where = (points[i, 0], points[i, 1], points[i, 2])
@@ -342,10 +346,10 @@ def _fill_row(kernel, scale, where, centres, row):
         row[j], _ = _scalar(kernel, scale, dx * dx + dy * dy + dz * dz)
 
 
-@njit(**OUTER)
-def scalar_matrix(kernel, scale, points, centres, out):
+@threaded(over="points", least=16, **OUTER)
+def scalar_matrix(begin, end, kernel, scale, points, centres, out):
     """Kernel matrix (N, m) between points (N, 3) and centres (3, m)."""
-    for i in prange(points.shape[0]):
+    for i in range(begin, end):
         where, row = (points[i, 0], points[i, 1], points[i, 2]), out[i]
         sources = _part(centres, 0, centres.shape[1])
         if kernel == 0:
@@ -356,10 +360,10 @@ def scalar_matrix(kernel, scale, points, centres, out):
             _fill_row(kernel, scale, where, sources, row)
 
 
-@njit(**OUTER)
-def isochoric_matrix(kernel, scale, points, centres, out):
+@threaded(over="points", least=16, **OUTER)
+def isochoric_matrix(begin, end, kernel, scale, points, centres, out):
     """Kernel matrix (3 N, 3 m): the block of point i and centre j stands at [3i:3i+3, 3j:3j+3]."""
-    for i in prange(points.shape[0]):
+    for i in range(begin, end):
         for j in range(centres.shape[1]):
             dx, dy, dz = points[i, 0] - centres[0, j], points[i, 1] - centres[1, j], points[i, 2] - centres[2, j]
             f, _, g, _ = _isochoric(kernel, scale, dx * dx + dy * dy + dz * dz)

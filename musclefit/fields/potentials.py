@@ -8,7 +8,8 @@ continuously differentiable in all of space. Sums are reassociated for speed; ce
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from musclefit.compiling import njit, threaded
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""
@@ -48,11 +49,11 @@ def _box(point, low, h, shape, w, d, e, box):
     return True
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def curl_sum(low, h, numbers, coefficients, points, out):
+@threaded(over="points", each=BLOCK, fastmath=FAST)
+def curl_sum(begin, end, low, h, numbers, coefficients, points, out):
     """Add the curl at points (N, 3) to ``out`` (N, 3)."""
     n, shape = points.shape[0], numbers.shape
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         w, d, e, box = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 3), np.int64)
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             if not _box(points[p], low, h, shape, w, d, e, box):
@@ -83,11 +84,11 @@ def curl_sum(low, h, numbers, coefficients, points, out):
             out[p, 2] += yx - xy
 
 
-@njit(parallel=True, fastmath=FAST, cache=True)
-def curl_sum_with_gradient(low, h, numbers, coefficients, points, out, gradients):
+@threaded(over="points", each=BLOCK, fastmath=FAST)
+def curl_sum_with_gradient(begin, end, low, h, numbers, coefficients, points, out, gradients):
     """Add the curl to ``out`` (N, 3) and its derivatives to ``gradients`` (N, 3, 3)."""
     n, shape = points.shape[0], numbers.shape
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         w, d, e, box = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 3), np.int64)
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             if not _box(points[p], low, h, shape, w, d, e, box):

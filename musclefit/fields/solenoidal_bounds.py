@@ -12,8 +12,8 @@ Boxes with more than `MAX_PARTS` parts are bounded by given ceilings (`ceilings`
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.bernstein import (
     MAX_KNOTS,
     along_first,
@@ -149,55 +149,66 @@ def _bound_box(
     """One box: writes the gradient at its centre, and the radius or the range of eigenvalues."""
     work = level_workspace()
     low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
-    hull, parts, rounding = np.zeros((9, 64)), 1, 0.0
+    hull, parts, size = np.zeros((9, 64)), 1, 0.0
     for axis in range(3):
         slack = 1e-15 * (abs(centre[axis]) + half[axis])
         low[axis], high[axis] = centre[axis] - half[axis] - slack, centre[axis] + half[axis] + slack
-    # The gradient at the centre: a part of no size, all of whose coefficients are its value.
-    _fill(hull, added)
-    for level in range(len(spacings)):
-        numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
-        rounding += add_level(lows[level], spacings[level], numbers, coefficients, centre, centre, hull, work)
-    for row in range(9):
-        gradient[row // 3, row % 3] = hull[row, 0]
-    size = 0.0
-    for i in range(3):
-        for k in range(3):
-            size = max(size, abs(added[i, k]))
-    rounding += 1e-15 * size
-    own = 3.0 * rounding
-    for axis in range(3):
         counts[axis] = knots_between(lows[:, axis], spacings, shapes[:, axis], low[axis], high[axis], knots[axis]) - 1
         parts *= max(counts[axis], 0)
+        for k in range(3):
+            size = max(size, abs(added[axis, k]))
+    coarse = parts < 1 or parts > MAX_PARTS
     best, clear = np.full(2, -np.inf), np.zeros(64, np.bool_)
-    if parts < 1 or parts > MAX_PARTS:
-        best[:] = norm_ceiling(gradient - added) + ceiling
-        if strain:
-            best[0], best[1] = ceiling - floor_of(added, 3, 1.0), ceiling - floor_of(added, 3, -1.0)
-        worst = own
-    else:
-        a, b, worst = np.zeros(3), np.zeros(3), own
-        for part in range(parts):
-            rest = part
-            for axis in range(3):
+    a, b, own, worst = np.zeros(3), np.zeros(3), 0.0, 0.0
+    # The gradient at the centre: a part of no size, all of whose coefficients are its value. It comes first in the same
+    # loop, so that what adds the levels is compiled into this once.
+    for part in range(-1, 0 if coarse else parts):
+        rest = part
+        for axis in range(3):
+            if part < 0:
+                a[axis], b[axis] = centre[axis], centre[axis]
+            else:
                 a[axis], b[axis] = knots[axis, rest % counts[axis]], knots[axis, rest % counts[axis] + 1]
                 rest //= counts[axis]
-            _fill(hull, added)
-            rounding = 1e-15 * size
-            for level in range(len(spacings)):
-                numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
-                rounding += add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
+        _fill(hull, added)
+        rounding = 1e-15 * size
+        for level in range(len(spacings)):
+            numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
+            rounding += add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
+        if part < 0:
+            for row in range(9):
+                gradient[row // 3, row % 3] = hull[row, 0]
+            own = 3.0 * rounding
+            worst = own
+        else:
             worst = max(worst, own + 3.0 * rounding)
             widen_by_hull(hull, 3, gradient, strain, best, work[3], clear)
+    if coarse:
+        best[:] = norm_ceiling(gradient - added) + ceiling
+        for side in range(2 if strain else 0):
+            best[side] = ceiling - floor_of(added, 3, 1.0 - 2.0 * side)
     if strain:
         found[0], found[1] = best[0] + worst, best[1] + worst
     else:
         found[0], found[1] = max(best[0], 0.0) + worst, own
 
 
-@njit(parallel=True, cache=True)
+@threaded(over="centres")
 def box_bounds(
-    lows, spacings, shapes, numbers_of, coefficients_of, added, centres, half_widths, ceilings, strain, gradients, found
+    begin,
+    end,
+    lows,
+    spacings,
+    shapes,
+    numbers_of,
+    coefficients_of,
+    added,
+    centres,
+    half_widths,
+    ceilings,
+    strain,
+    gradients,
+    found,
 ):
     """Bound the gradient or the strain of all levels, plus a matrix for each box, over boxes.
 
@@ -206,7 +217,7 @@ def box_bounds(
     centres (B, 3, 3), and (B, 2): proved radius and the rounding at the centre, or minus the lowest and plus the
     highest eigenvalue.
     """
-    for box in prange(len(centres)):
+    for box in range(begin, end):
         _bound_box(
             lows,
             spacings,

@@ -32,7 +32,8 @@ direction are computed from, which their rounding is proportional to; the second
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from musclefit.compiling import njit
 
 NEAR_R = 0.4
 """h / r above which a source of kernel r counts as near: its term is then the ball around the cone of directions."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from musclefit.compiling import njit, threaded
 from musclefit.fields.terms import SMALL, rounding_share
 
 
@@ -56,14 +56,14 @@ def value_terms(code, scale, r):
     )
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def values(code, isochoric, scale, slope, sources, weights, sizes, points, blur, out, errors):
+@threaded(over="points", least=16, error_model="numpy")
+def values(begin, end, code, isochoric, scale, slope, sources, weights, sizes, points, blur, out, errors):
     """Write the radial sum at points (N, 3) local to the origin to ``out``, and its rounding error to ``errors`` (N,).
 
     ``slope``: the constant of the kernel's sup |grad D| per unit of weight (see `slope_bound`).
     """
     m = sizes.size
-    for i in prange(points.shape[0]):
+    for i in range(begin, end):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u, v, w, parts, steep = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(m):

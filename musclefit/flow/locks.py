@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.errors import FieldError
 from musclefit.fields import bricks as sums
 from musclefit.fields.bricks import ACROSS, NOTHING, ONE, SIDE, WHOLE

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
 
@@ -47,8 +47,7 @@ def orientations(vertices: Points, tets: Tets) -> Int:
     """
     _require_finite(vertices)
     vertices, tets = np.ascontiguousarray(vertices), np.ascontiguousarray(tets)
-    signs = np.empty(len(tets), dtype=np.int64)
-    _filter(vertices, tets, signs)
+    signs = _filtered(vertices, tets)
     unsure = np.flatnonzero(signs == _UNSURE)
     for start in range(0, len(unsure), _CHUNK):
         part = unsure[start : start + _CHUNK]
@@ -59,8 +58,7 @@ def orientations(vertices: Points, tets: Tets) -> Int:
 def undecided_in_floating_point(vertices: Points, tets: Tets) -> Bool:
     """(k,) True where `orientations` needs integers."""
     _require_finite(vertices)
-    signs = np.empty(len(tets), dtype=np.int64)
-    _filter(np.ascontiguousarray(vertices), np.ascontiguousarray(tets), signs)
+    signs = _filtered(np.ascontiguousarray(vertices), np.ascontiguousarray(tets))
     unsure: Bool = signs == _UNSURE
     return unsure
 
@@ -115,6 +113,15 @@ def _require_finite(vertices: Points) -> None:
 
 
 _UNSURE = 2
+
+
+def _filtered(vertices: Points, tets: Tets) -> Int:
+    """(k,) signs of volumes, or _UNSURE; arrays that can be written are compiled for as those that cannot."""
+    vertices, tets = vertices.view(), tets.view()
+    vertices.flags.writeable = tets.flags.writeable = False
+    signs = np.empty(len(tets), dtype=np.int64)
+    _filter(vertices, tets, signs)
+    return signs
 
 
 @njit(cache=True)

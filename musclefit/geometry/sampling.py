@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
+from musclefit.compiling import njit, threaded
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.images import Interpolation
 
@@ -56,9 +56,9 @@ def _is_in(indices, p, shape):
     return True
 
 
-@njit(parallel=True, cache=True)
-def _nearest(values, indices, outside, out):
-    for p in prange(len(indices)):
+@threaded(over="indices", least=2000)
+def _nearest(begin, end, values, indices, outside, out):
+    for p in range(begin, end):
         if _is_in(indices, p, values.shape):
             i, j, k = indices[p]
             out[p] = values[int(np.floor(i + 0.5)), int(np.floor(j + 0.5)), int(np.floor(k + 0.5))]
@@ -73,9 +73,9 @@ def _pair(x, count):
     return max(base, 0), min(base + 1, count - 1), x - base
 
 
-@njit(parallel=True, cache=True)
-def _linear(values, indices, outside, out):
-    for p in prange(len(indices)):
+@threaded(over="indices", least=2000)
+def _linear(begin, end, values, indices, outside, out):
+    for p in range(begin, end):
         if not _is_in(indices, p, values.shape):
             out[p] = outside
             continue
@@ -108,10 +108,10 @@ def _cubic_axis(x, count, where, weights):
         where[a] = min(max(q, 0), count - 1)
 
 
-@njit(parallel=True, cache=True)
-def _cubic(values, indices, outside, out):
+@threaded(over="indices", each=256, least=8)
+def _cubic(begin, end, values, indices, outside, out):
     block = 256
-    for start in prange((len(indices) + block - 1) // block):
+    for start in range(begin, end):
         i, j, k = np.empty(4, np.int64), np.empty(4, np.int64), np.empty(4, np.int64)
         u, v, w = np.empty(4), np.empty(4), np.empty(4)
         for p in range(start * block, min(len(indices), (start + 1) * block)):

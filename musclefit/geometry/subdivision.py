@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Faces, Int, Points
 from musclefit.geometry.grading import EdgeLengths

@@ -20,9 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.optimize import minimize
 
+from musclefit.compiling import njit
 from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
 
 STIFFNESS = 10.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from musclefit.compiling import njit
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Int, Tets
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from musclefit.errors import InputError
-from musclefit.io.outputs import REPORT_JSON, TETS
 from musclefit.io.solver_files import LabelledTets
 
 
@@ -29,6 +28,8 @@ def read_run_tets(folder: Path, *, shape: Shape) -> LabelledTets:
         The folder holds no run, or one without tetrahedra, or the file is not as a run writes it.
     """
     import pyvista as pv
+
+    from musclefit.io.outputs import REPORT_JSON, TETS
 
     report, grid_file = folder / REPORT_JSON, folder / TETS
     if not report.is_file():

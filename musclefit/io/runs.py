@@ -10,12 +10,13 @@ from pathlib import Path
 from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
 from musclefit.anatomy.layers import LayerRules
 from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.caches import default_cache_folder
 from musclefit.figures.panels import Marks
 from musclefit.figures.stills import stills
 from musclefit.flow.bones import moving_together, poses_on_the_way
 from musclefit.io.outputs import DeformedTets, write_run
 from musclefit.io.provenance import measured
-from musclefit.io.tet_cache import TetCache, TetPlan, default_cache_folder, default_limit_mb
+from musclefit.io.tet_cache import TetCache, TetPlan, default_limit_mb
 from musclefit.pipeline.retarget import Outcome, Retargeting
 from musclefit.pipeline.states import states
 from musclefit.progress import Progress, Silent

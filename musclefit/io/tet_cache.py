@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import os
-import sys
 import tempfile
 import time
 import zipfile
@@ -44,18 +43,6 @@ CACHE_FINDING = "tet-cache"
 
 _LAYOUT = "musclefit tets 4"
 _UNREADABLE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MeshError)
-
-
-def default_cache_folder() -> Path:
-    """The folder of ``MUSCLEFIT_CACHE``, or else ``musclefit`` in the platform's folder for caches."""
-    chosen = os.environ.get("MUSCLEFIT_CACHE")
-    if chosen:
-        return Path(chosen).expanduser()
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "musclefit" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "musclefit"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "musclefit"
 
 
 def default_limit_mb() -> float:

@@ -188,8 +188,7 @@ def surface_choices(job: Job) -> SurfaceChoices:
     else:
         near = EDGES * min(bone_choices(job).lattices_mm)
         moving = sorted(set(job.motions.at(1.0)) & {tissue.name for tissue in job.anatomy})
-        places = [with_short_edges(job.anatomy[bone].surface, longest_mm=near).vertices for bone in moving]
-        edges = EdgeLengths(near, np.concatenate(places), GROWTH, LONGEST * near)
+        edges = _edges_beside(job.anatomy, tuple(moving), near)
         value = f"{near:.3g} mm beside moving bones to {edges.most_mm:.3g} mm far from them"
         findings.append(
             _chosen("surfaces.longest_edge_mm", value, f"the narrowest lattice is {near / EDGES:.3g} mm wide")
@@ -205,6 +204,14 @@ def surface_choices(job: Job) -> SurfaceChoices:
     return SurfaceChoices(chord, edges, tuple(findings))
 
 
+@lru_cache(maxsize=4)
+def _edges_beside(anatomy: Anatomy, bones: tuple[str, ...], near_mm: float) -> EdgeLengths:
+    """Short beside some bones; the same for every pose that the same anatomy is sent to."""
+    places = [with_short_edges(anatomy[bone].surface, longest_mm=near_mm).vertices for bone in bones]
+    return EdgeLengths(near_mm, np.concatenate(places), GROWTH, LONGEST * near_mm)
+
+
+@lru_cache(maxsize=4)
 def tight_gap(anatomy: Anatomy, *, within_mm: float) -> float:
     """The distance from the next tissue that all but ``TIGHT`` of the tissues' surfaces, skin apart, exceed, mm.
 

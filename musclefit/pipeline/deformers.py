@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -341,8 +342,15 @@ def _locks(
     anatomy: Anatomy, groups: Sequence[RigidGroup], settings: Sequence[LockSettings], progress: Progress
 ) -> BoneLocks:
     """What locks the field to groups of bones."""
-    surfaces = [TriMesh.together([anatomy[bone].surface for bone in group.bones]) for group in groups]
-    return BoneLocks.around(surfaces, settings, progress=progress)
+    with progress.stage("distances around bones"):
+        return _locks_once(anatomy, tuple(group.bones for group in groups), tuple(settings))
+
+
+@lru_cache(maxsize=2)
+def _locks_once(anatomy: Anatomy, groups: tuple[tuple[str, ...], ...], settings: tuple[LockSettings, ...]) -> BoneLocks:
+    """The locks at rest, for every pose that the same anatomy is sent to."""
+    surfaces = [TriMesh.together([anatomy[bone].surface for bone in bones]) for bones in groups]
+    return BoneLocks.around(surfaces, settings)
 
 
 def _spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles | None:

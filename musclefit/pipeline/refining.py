@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from musclefit.flow.riding import MAX_RETURNS, Riders, riders_of
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.surfaces import Carried, CutAnatomy, carried_finely, cut_at_rest, finely_carried
 from musclefit.geometry.arrays import Float, Gradients, Points
+from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.surface_samples import EDGES_PER_SPACING, surface_samples
 from musclefit.geometry.volumes import area_vectors
 from musclefit.pipeline.choices import surface_choices
@@ -234,11 +236,19 @@ def _moved_as_wholes(job: Job) -> frozenset[str]:
 
 
 def _cut(job: Job, whole: frozenset[str]) -> CutAnatomy:
-    if not job.rig.surfaces.refine:
-        return CutAnatomy(job.anatomy, {}, job.anatomy)
-    return cut_at_rest(job.anatomy, longest_mm=surface_choices(job).longest, whole=whole)
+    longest = surface_choices(job).longest if job.rig.surfaces.refine else None
+    return _cut_once(job.anatomy, longest, whole)
 
 
+@lru_cache(maxsize=2)
+def _cut_once(anatomy: Anatomy, longest: EdgeLengths | None, whole: frozenset[str]) -> CutAnatomy:
+    """The surfaces cut at rest, for every pose that the same anatomy is sent to; as they are without lengths."""
+    if longest is None:
+        return CutAnatomy(anatomy, {}, anatomy)
+    return cut_at_rest(anatomy, longest_mm=longest, whole=whole)
+
+
+@lru_cache(maxsize=2)
 def _between(anatomy: Anatomy, *, longest_mm: float) -> tuple[Points, float]:
     """Samples of the surfaces that are none of their vertices, and the largest gap that they leave, mm."""
     area = sum(float(np.linalg.norm(area_vectors(tissue.surface), axis=1).sum()) for tissue in anatomy)

@@ -83,6 +83,8 @@ class Outcome:
     tet_vertices : (n, 3) float64, mm, or None
         Of ``tets``, moved.
     side : Side
+    solid : SolidAnatomy
+        ``deformed``, prepared for booleans.
     """
 
     deformation: Deformation
@@ -92,6 +94,7 @@ class Outcome:
     tets: TetAnatomy | None
     tet_vertices: Points | None
     side: Side
+    solid: SolidAnatomy
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -298,6 +301,7 @@ class _Finisher:
             None if tets is None else tets.rest,
             None if tets is None else tets.vertices,
             side,
+            after,
         )
 
     def _shared_by_held_bones(self, deformed: Deformed) -> tuple[BoneOverlap, ...]:

@@ -100,7 +100,7 @@ class Stage:
             outcome = outcome_of(posed, rest=self.rest, shared=shared, progress=progress or Silent())
         except MusclefitError as error:
             return Frame(pose, None, None, (), None, str(error))
-        muscles = measure_muscles(solid_anatomy(outcome.deformed, progress=Silent()), sections=self.sections)
+        muscles = measure_muscles(outcome.solid, sections=self.sections)
         return Frame(pose, given_triangles(self.job.anatomy, outcome.deformed), outcome.side, muscles)
 
 

@@ -9,7 +9,6 @@ from hashlib import sha256
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, frozen
@@ -115,6 +114,8 @@ class Motion:
         if interpolation is Interpolation.LINEAR:
             columns = [np.interp(times_s, self.times_s, column) for column in self.degrees.T]
             return np.stack(columns, axis=1)
+        from scipy.interpolate import PchipInterpolator  # here, for it is slow to import
+
         return np.asarray(PchipInterpolator(self.times_s, self.degrees, axis=0)(times_s), dtype=np.float64)
 
     def frames(self, count: int, *, interpolation: Interpolation) -> tuple[Pose, ...]:

@@ -17,10 +17,11 @@ import trimesh
 from musclefit.anatomy.layers import Gaps, LayerRules
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.caches import default_cache_folder
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io import tet_cache
-from musclefit.io.tet_cache import ABANDONED_S, TetCache, content_hash, default_cache_folder, default_limit_mb
+from musclefit.io.tet_cache import ABANDONED_S, TetCache, content_hash, default_limit_mb
 from musclefit.progress import Silent
 
 QUIET = Silent()

@@ -1,0 +1,122 @@
+"""Compiled loops: shared by processes and environments, made anew when their sources change, run in threads."""
+
+from __future__ import annotations
+
+import fcntl
+import inspect
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config
+
+from musclefit import compiling
+from musclefit.compiling import source_stamp, sources_of, threaded
+from musclefit.compiling_ahead import listed
+
+LOOP = """
+from musclefit.fields.terms import rounding_share
+assert rounding_share(3) > 0.0
+print(sum(rounding_share.stats.cache_hits.values()), sum(rounding_share.stats.cache_misses.values()))
+"""
+"""Compiles one small function, or finds it: prints hits and misses."""
+
+
+def begun(folder: Path) -> subprocess.Popen[str]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CACHE")}
+    environment["MUSCLEFIT_CACHE"] = str(folder)
+    return subprocess.Popen([sys.executable, "-c", LOOP], env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def said(process: subprocess.Popen[str]) -> str:
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    return out.strip()
+
+
+def test_what_one_process_compiles_another_finds(tmp_path):
+    assert said(begun(tmp_path)) == "0 1"
+    assert said(begun(tmp_path)) == "1 0"
+    assert list((tmp_path / "compiled" / "fields").glob("terms.rounding_share-*.nbc"))
+
+
+def test_a_damaged_file_is_compiled_anew(tmp_path):
+    said(begun(tmp_path))
+    for pattern in ("*.nbc", "*.nbi"):
+        for file in (tmp_path / "compiled").rglob(pattern):
+            file.write_bytes(file.read_bytes()[:40])
+        assert said(begun(tmp_path)) == "0 1"
+        assert said(begun(tmp_path)) == "1 0"
+
+
+def test_a_folder_that_cannot_be_made_is_done_without(tmp_path):
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    assert said(begun(tmp_path / "file")) == "0 1"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such locks")
+def test_a_process_waits_for_another_that_compiles_the_same(tmp_path):
+    said(begun(tmp_path))
+    (lock,) = (tmp_path / "compiled" / "fields").glob("terms.rounding_share-*.lock")
+    kept = {path: path.read_bytes() for path in lock.parent.glob("terms.rounding_share-*.nb?")}
+    for path in kept:
+        path.unlink()
+    with lock.open("ab") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        waiting = begun(tmp_path)
+        time.sleep(4.0)
+        for path, data in kept.items():  # the other is done
+            path.write_bytes(data)
+    assert said(waiting) == "1 0"
+
+
+def test_what_is_imported_is_among_the_sources(tmp_path, monkeypatch):
+    (tmp_path / "room").mkdir()
+    (tmp_path / "a.py").write_text("from musclefit.room.b import (\n    X,\n    Y,\n)\n", encoding="utf-8")
+    (tmp_path / "room" / "b.py").write_text("from musclefit.room import c, d\n", encoding="utf-8")
+    (tmp_path / "room" / "c.py").write_text("from musclefit.a import Z\n", encoding="utf-8")
+    (tmp_path / "other.py").write_text("X = 1\n", encoding="utf-8")
+    monkeypatch.setattr(compiling, "_PACKAGE", tmp_path)
+    names = {path.relative_to(tmp_path).as_posix() for path in sources_of(tmp_path / "a.py")}
+    assert names == {"a.py", "room/b.py", "room/c.py"}
+    before = source_stamp(tmp_path / "a.py")
+    for asked in (sources_of, compiling._imported, source_stamp):
+        asked.cache_clear()
+    (tmp_path / "room" / "c.py").write_text("from musclefit.a import Z\nX = 2\n", encoding="utf-8")
+    assert source_stamp(tmp_path / "a.py") != before
+
+
+@threaded(over="points", each=4, least=2)
+def _mark(begin, end, points, out):
+    for task in range(begin, end):
+        for i in range(4 * task, min(4 * task + 4, points.shape[0])):
+            if points[i] < 0.0:
+                raise ValueError
+            out[i] += points[i]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("count", [0, 1, 5, 63, 64, 1001])
+def test_every_task_is_done_once(monkeypatch, threads, count):
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    points, out = np.arange(1.0, count + 1.0), np.zeros(count)
+    _mark(points, out)
+    np.testing.assert_array_equal(out, points)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_what_a_task_raises_reaches_the_caller(monkeypatch, threads):
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    points = np.ones(1001)
+    points[700] = -1.0
+    with pytest.raises(ValueError):  # noqa: PT011 (compiled code)
+        _mark(points, np.zeros(1001))
+
+
+def test_what_is_compiled_ahead_exists():
+    for loop, types in listed():
+        assert len(types) == len(inspect.signature(loop.py_func).parameters), loop

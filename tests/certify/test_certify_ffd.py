@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 import pytest
 from attacks import MARGINS, C, Configuration, E, campaign, flow_step, grid, worst_margin
 
 from musclefit.certify.maps import certify_map
+from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.ffd import FfdField, Lattice
 from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
 from musclefit.rig.model import StepKind
 from musclefit.validate.model import MapClaim
 
 CAMPAIGN = 12
+ISOCHORIC_CAMPAIGN = 8
 FULL_CAMPAIGN = 520
+
+F = TypeVar("F", FfdField, CorrectedField)
 
 
 def random_field(rng: np.random.Generator, low: np.ndarray, high: np.ndarray) -> FfdField:
@@ -27,9 +36,22 @@ def random_field(rng: np.random.Generator, low: np.ndarray, high: np.ndarray) ->
     return FfdBackend(float(rng.uniform(15.0, 40.0)), 3).fit(at, rng.normal(size=at.shape))
 
 
+def isochoric_field(rng: np.random.Generator, low: np.ndarray, high: np.ndarray) -> CorrectedField:
+    """Driven by landmarks, half of them with a local part beside, as rigid bones add one."""
+    at = rng.uniform(low, high, (int(rng.integers(4, 14)), 3))
+    field = IsochoricFfdBackend(float(rng.uniform(8.0, 30.0))).fit(at, rng.normal(size=at.shape))
+    if rng.random() < 0.5:
+        return field
+    around = rng.uniform(low, high) + rng.uniform(-10.0, 10.0, (20, 3))
+    levels = [PotentialLevel.around(around, spacing_mm=h) for h in (8.0, 4.0)]
+    shares = [0.1 * level.spacing_mm * rng.normal(size=level.coefficients.shape) for level in levels]
+    more = [replace(level, coefficients=share) for level, share in zip(levels, shares, strict=True)]
+    return CorrectedField.of(field, SolenoidalField(tuple(more)))
+
+
 def scaled_to(
-    kind: StepKind, field: FfdField, margin: float, moved: np.ndarray, rng: np.random.Generator, beside: np.ndarray
-) -> FfdField:
+    kind: StepKind, field: F, margin: float, moved: np.ndarray, rng: np.random.Generator, beside: np.ndarray
+) -> F:
     """The field with the strength at which its smallest margin in the box around the points is the one given."""
     low, high = moved.min(axis=0), moved.max(axis=0)
     return field.scaled((1.0 - margin) / (1.0 - worst_margin(kind, field, low, high, rng, beside=beside)))
@@ -63,6 +85,37 @@ def test_certificates_of_free_form_deformations_withstand_attack():
     tally = campaign(map(configuration, range(CAMPAIGN)), max_boxes=20_000, optimise=False)
     assert tally.of(MapClaim.CERTIFIED) >= 3
     assert tally.of(MapClaim.REFUTED) >= 1
+
+
+def isochoric_configuration(seed: int) -> Configuration:
+    """One or two steps without divergence, of either kind, the last on both sides of the limit."""
+    rng = np.random.default_rng(seed)
+    last, margin = (E, C)[(seed + seed // 10) % 2], MARGINS[3 * seed % len(MARGINS)]
+    corner = rng.uniform(-200.0, 200.0, 3)
+    points = np.stack([corner, corner + rng.uniform(40.0, 80.0, 3)])
+    moved, beside, steps = grid(*points, 9), rng.uniform(*points, (10, 3)), []
+    if rng.random() < 0.4:
+        kind, low, high = (E, C)[int(rng.integers(2))], moved.min(axis=0), moved.max(axis=0)
+        field = scaled_to(kind, isochoric_field(rng, low, high), float(rng.uniform(0.4, 0.8)), moved, rng, beside)
+        steps.append((kind, field))
+        moved = flow_step(kind, field)(moved)
+    field = isochoric_field(rng, moved.min(axis=0), moved.max(axis=0))
+    steps.append((last, scaled_to(last, field, margin, moved, rng, beside)))
+    return Configuration(steps, points, margin, beside)
+
+
+def test_certificates_of_isochoric_free_form_deformations_withstand_attack():
+    tally = campaign(map(isochoric_configuration, range(ISOCHORIC_CAMPAIGN)), max_boxes=20_000, optimise=False)
+    assert tally.of(MapClaim.CERTIFIED) >= 3
+    assert tally.of(MapClaim.REFUTED) >= 1
+
+
+@pytest.mark.slow
+def test_certificates_of_isochoric_free_form_deformations_withstand_a_long_attack(capsys):
+    tally = campaign(map(isochoric_configuration, range(1000, 1000 + FULL_CAMPAIGN)), max_boxes=20_000, optimise=True)
+    with capsys.disabled():
+        print(f"\nisochoric free-form deformations, {tally}")
+    tally.require_a_sound_mixture(FULL_CAMPAIGN)
 
 
 @pytest.mark.slow

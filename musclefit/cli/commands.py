@@ -246,12 +246,10 @@ def _run(
     quiet: bool,
     json: bool,
 ) -> int:
-    from musclefit.compiling_ahead import start_ahead
     from musclefit.io.outputs import check_writable
     from musclefit.io.rigs import read_rig
 
     check_writable(out)
-    start_ahead()
     with TimedStages(shown=not quiet) as stages:
         job = read_rig(rig, overrides=overrides, points=points, progress=stages)
         for finding in job.findings:

@@ -55,14 +55,12 @@ def sequence(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
 ) -> int:
     """Follow a motion: every frame from rest, checked; muscle measures, series, film and report."""
-    from musclefit.compiling_ahead import start_ahead
     from musclefit.io.rigs import read_rig
     from musclefit.io.sequence_outputs import write_outputs
     from musclefit.io.sequences import planned, run_sequence
 
     path = find_rig(rig)
     folder = out if out is not None else Path("musclefit-out") / path.stem
-    start_ahead()
     with TimedStages(shown=not quiet) as stages:
         job = read_rig(path, overrides=set, progress=stages)
         plan = planned(job, motion=motion, frames=frames, interpolation=interpolation)

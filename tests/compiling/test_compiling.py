@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import inspect
 import os
 import subprocess
 import sys
@@ -16,7 +15,6 @@ from numba import config
 
 from musclefit import compiling
 from musclefit.compiling import source_stamp, sources_of, threaded
-from musclefit.compiling_ahead import listed
 
 LOOP = """
 from musclefit.fields.terms import rounding_share
@@ -115,8 +113,3 @@ def test_what_a_task_raises_reaches_the_caller(monkeypatch, threads):
     points[700] = -1.0
     with pytest.raises(ValueError):  # noqa: PT011 (compiled code)
         _mark(points, np.zeros(1001))
-
-
-def test_what_is_compiled_ahead_exists():
-    for loop, types in listed():
-        assert len(types) == len(inspect.signature(loop.py_func).parameters), loop

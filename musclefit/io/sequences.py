@@ -27,8 +27,9 @@ from musclefit.io.sequence_frames import (
 from musclefit.io.sequence_tasks import examine, make, prepare, read_between
 from musclefit.io.series import collection
 from musclefit.io.worker_pool import Pool
+from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.retarget import settings_of
-from musclefit.pipeline.sequence import check_pose, require_motion
+from musclefit.pipeline.sequence import check_pose, posed_job, require_motion
 from musclefit.progress import Progress, Silent
 from musclefit.report.sequence import (
     MADE,
@@ -184,12 +185,15 @@ def run_sequence(
     keys = [frame_key(plan.job, pose) for pose in poses]
     missing = [p.number for p in poses if isinstance(read_frame(folder, p.number, key=keys[p.number]), str)]
     cpu_s = {"frames": 0.0, "between frames": 0.0}
+    steps = [least_steps(posed_job(plan.job, pose)) for pose in poses]
+    missing = longest_first(missing, steps)
     with Pool(workers, prepare=prepare, given=(plan.job, poses, folder.resolve())) as pool:
         cpu_s["frames"] = _run(pool, make, missing, "frames", progress, done=len(poses) - len(missing))
         stored = [_require(read_frame(folder, p.number, key=keys[p.number]), p) for p in poses]
         if between:
             asked = [k for k in range(len(poses) - 1) if all(stored[j].vertices_sha256 for j in (k, k + 1))]
             todo = [k for k in asked if (read := read_between(folder, k)) is None or read.problem]
+            todo = longest_first(todo, steps)
             cpu_s["between frames"] = _run(pool, examine, todo, "between frames", progress, done=len(asked) - len(todo))
     summaries = tuple(frame.summary for frame in stored)
     report = SequenceReport(
@@ -234,6 +238,19 @@ def read_frames(job: Job, folder: str | Path) -> Iterator[FrameOnDisk]:
         if isinstance(stored, str):
             raise InputError(f"{folder}: frame {number}: {stored}; run the sequence again, it keeps the others")
         yield FrameOnDisk(stored, job.anatomy)
+
+
+def longest_first(numbers: Sequence[int], steps: Sequence[int]) -> list[int]:
+    """Tasks in the order that keeps workers from waiting for the last: by the steps of their frames' marches, falling.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Of frames.
+    steps : sequence of int
+        Of each frame of the sequence, at least.
+    """
+    return sorted(numbers, key=lambda number: -steps[number])
 
 
 def _run(

@@ -16,7 +16,8 @@ import musclefit
 from musclefit.errors import InputError, RigError
 from musclefit.io import sequence_tasks
 from musclefit.io.sequence_frames import read_frame
-from musclefit.io.sequences import SequencePlan, planned, read_frames, run_sequence
+from musclefit.io.sequences import SequencePlan, longest_first, planned, read_frames, run_sequence
+from musclefit.pipeline import refining
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.sequence import Stage, frames, posed_job
 from musclefit.rig.job import Job
@@ -74,6 +75,20 @@ def test_small_poses_take_few_steps(rig: Path, degrees: float, steps: int) -> No
     job = musclefit.read_rig(rig, overrides=("deformer.path=joints", "deformer.degrees_per_step=10"))
     assert least_steps(posed_job(job, Pose(0, 0.0, (("elbow", degrees),)))) == steps
     assert least_steps(replace(job, rig=replace(job.rig, deformer=replace(job.rig.deformer, min_steps=7)))) >= 7
+
+
+def test_the_longest_marches_come_first() -> None:
+    """Else the last frames of a motion, often the farthest from rest, keep one worker busy and the others waiting."""
+    assert longest_first([0, 1, 2, 3, 5], [1, 4, 4, 2, 9, 0]) == [1, 2, 3, 0, 5]
+
+
+def test_what_no_pose_changes_is_made_once(job: Job, plan: SequencePlan) -> None:
+    one, other = (posed_job(job, pose) for pose in plan.poses[1:3])
+    cut = refining._cut(one, frozenset())
+    assert refining._cut(other, frozenset()) is cut
+    assert refining._cut(other, frozenset({"bone_distal"})) is not cut
+    longest = job.rig.surfaces.longest_edge_mm
+    assert refining._between(cut.anatomy, longest_mm=longest) is refining._between(cut.anatomy, longest_mm=longest)
 
 
 def test_a_motion_that_comes_back_comes_back_to_rest(job: Job, made: Path) -> None:

@@ -15,6 +15,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline import between
 from musclefit.pipeline.between import MAX_POSES, PoseError, PosesOnTheWay, between_frames
+from musclefit.pipeline.choices import surface_choices
 from musclefit.pipeline.sequence import Stage
 from musclefit.rig.motion import Pose
 from musclefit.validate.closer import MeetingKind
@@ -61,8 +62,8 @@ def ends(stage: Stage) -> tuple[Anatomy, Anatomy]:
 
 def test_refined_tissues_end_where_the_frames_are(stage: Stage, ends: tuple[Anatomy, Anatomy]) -> None:
     refined = PosesOnTheWay(stage, POSES, ends).refined(PAIR, [0.0, 0.5, 1.0], fineness=1)
-    settings = stage.job.rig.surfaces
-    assert (refined.chord_mm, refined.longest_mm) == (settings.chord_tolerance_mm / 4, settings.longest_edge_mm / 2)
+    chosen = surface_choices(stage.job)
+    assert (refined.chord_mm, refined.longest_mm) == (chosen.chord_mm / 4, chosen.longest.most_mm / 2)
     for posed, frame in zip((refined.posed[0], refined.posed[2]), ends, strict=True):
         for name in PAIR:
             given = frame[name].surface.vertices

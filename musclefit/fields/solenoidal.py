@@ -132,7 +132,8 @@ class SolenoidalField:
         """
         where = _accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
-        return self._by_level(where, half_widths).sum(axis=0) * (1.0 + 1e-14)
+        found: Float = self._by_level(where, half_widths).sum(axis=0) * (1.0 + 1e-14)
+        return found
 
     def bounds_with(
         self, gradients: Gradients, centres: Points, half_widths: Float, *, strain: bool

@@ -101,7 +101,8 @@ def _traceless(at: Points, displacements: Points) -> RadialField:
     extent = float(np.abs(local).max(initial=0.0)) or 1.0
     shifts = np.broadcast_to(np.eye(3), (len(at), 3, 3))
     terms: Float = np.concatenate([shifts, np.einsum("kij,mj->mik", TRACELESS, local / extent)], axis=2)
-    found: Float = np.linalg.lstsq(terms.reshape(-1, 11), displacements.reshape(-1), rcond=None)[0].astype(np.float64)
+    solved = np.linalg.lstsq(terms.reshape(-1, 11), displacements.reshape(-1), rcond=None)[0]
+    found: Float = np.asarray(solved, dtype=np.float64)
     return RadialField(
         kernel="isochoric-r3",
         scale=1.0,

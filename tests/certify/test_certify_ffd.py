@@ -20,7 +20,8 @@ from musclefit.rig.model import StepKind
 from musclefit.validate.model import MapClaim
 
 CAMPAIGN = 12
-ISOCHORIC_CAMPAIGN = 8
+ISOCHORIC_SEEDS = (0, 2, 3, 4, 6, 7, 9, 11)
+"""Certified, refuted and undecided ones that are quick; seconds each where the margin is a percent."""
 FULL_CAMPAIGN = 520
 
 F = TypeVar("F", FfdField, CorrectedField)
@@ -105,7 +106,7 @@ def isochoric_configuration(seed: int) -> Configuration:
 
 
 def test_certificates_of_isochoric_free_form_deformations_withstand_attack():
-    tally = campaign(map(isochoric_configuration, range(ISOCHORIC_CAMPAIGN)), max_boxes=20_000, optimise=False)
+    tally = campaign(map(isochoric_configuration, ISOCHORIC_SEEDS), max_boxes=20_000, optimise=False)
     assert tally.of(MapClaim.CERTIFIED) >= 3
     assert tally.of(MapClaim.REFUTED) >= 1
 

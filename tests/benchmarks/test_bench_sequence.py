@@ -33,13 +33,14 @@ class Watch(event.Listener):
     def on_end(self, e):
         self.depth -= 1
         if not self.depth:
-            self.found.append((time.process_time() - self.start, str(e.data["dispatcher"].py_func), str(e.data["args"])))
+            what = f"{e.data['dispatcher'].py_func} {e.data['args']}"
+            self.found.append((time.process_time() - self.start, what))
 watch = Watch()
 event.register("numba:compile", watch)
 from musclefit.cli import main
 code = main(sys.argv[1:])
-for seconds, function, types in watch.found:
-    print(f"COMPILED {seconds:.2f} {function} {types}")
+for seconds, what in watch.found:
+    print(f"COMPILED {seconds:.2f} {what}")
 raise SystemExit(code)
 """
 

@@ -18,6 +18,7 @@ from musclefit.io import sequence_tasks
 from musclefit.io.sequence_frames import read_frame
 from musclefit.io.sequences import SequencePlan, longest_first, planned, read_frames, run_sequence
 from musclefit.pipeline import refining
+from musclefit.pipeline.choices import surface_choices
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.sequence import Stage, frames, posed_job
 from musclefit.rig.job import Job
@@ -87,7 +88,7 @@ def test_what_no_pose_changes_is_made_once(job: Job, plan: SequencePlan) -> None
     cut = refining._cut(one, frozenset())
     assert refining._cut(other, frozenset()) is cut
     assert refining._cut(other, frozenset({"bone_distal"})) is not cut
-    longest = job.rig.surfaces.longest_edge_mm
+    longest = surface_choices(job).longest.most_mm
     assert refining._between(cut.anatomy, longest_mm=longest) is refining._between(cut.anatomy, longest_mm=longest)
 
 

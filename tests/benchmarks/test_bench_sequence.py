@@ -18,32 +18,6 @@ FRAMES = 12
 TWO_BY_ONE = 1.8
 COLD_S = 10.0
 
-UNLISTED_S = 3.0
-"""CPU seconds that a run may compile beside what `musclefit.compiling_ahead` lists."""
-
-RUN = """
-import sys, time
-from numba.core import event
-class Watch(event.Listener):
-    depth, start, found = 0, 0.0, []
-    def on_start(self, e):
-        if not self.depth:
-            self.start = time.process_time()
-        self.depth += 1
-    def on_end(self, e):
-        self.depth -= 1
-        if not self.depth:
-            what = f"{e.data['dispatcher'].py_func} {e.data['args']}"
-            self.found.append((time.process_time() - self.start, what))
-watch = Watch()
-event.register("numba:compile", watch)
-from musclefit.cli import main
-code = main(sys.argv[1:])
-for seconds, what in watch.found:
-    print(f"COMPILED {seconds:.2f} {what}")
-raise SystemExit(code)
-"""
-
 MOTION = Path(__file__).parents[2] / "rigs" / "forearm_motion.csv"
 
 pytestmark = [
@@ -84,15 +58,3 @@ def test_a_first_run_takes_little_longer_than_the_next(tmp_path):
     cold, warm = demo("cold"), demo("warm")
     print(f"\ndemo without tets: first run {cold:.1f} s, next {warm:.1f} s")
     assert cold - warm <= COLD_S
-
-
-def test_what_a_run_needs_is_compiled_ahead(tmp_path):
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
-    environment["MUSCLEFIT_CACHE"] = str(tmp_path / "cache")
-    ahead = "from musclefit.compiling_ahead import compile_ahead; compile_ahead()"
-    subprocess.run([sys.executable, "-c", ahead], env=environment, check=True)
-    command = [sys.executable, "-c", RUN, "demo", "--no-tets", "--quiet", "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    compiled = [line for line in done.stdout.split("\n") if line.startswith("COMPILED")]
-    print("\ncompiled in the run:", *compiled, sep="\n")
-    assert sum(float(line.split(" ")[1]) for line in compiled) < UNLISTED_S

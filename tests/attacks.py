@@ -57,6 +57,31 @@ def descended(
     return float(value.min())
 
 
+def attack_boxes(
+    field: Field,
+    centres: np.ndarray,
+    halves: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    enough: tuple[float, float],
+    tries: int,
+) -> None:
+    """Random places of boxes, on their faces and corners too: none is outside what is proved of its box."""
+    gradients, radii = field.gradient_bounds(centres, halves)
+    ranges, _ = field.strain_bounds(centres, halves, enough=enough)
+    values, reach = field.displacement_bounds(centres, halves)
+    known = np.isfinite(gradients).all(axis=(1, 2))
+    for _ in range(tries):
+        inner = centres + halves * np.clip(rng.uniform(-1.15, 1.15, centres.shape), -1.0, 1.0)
+        there, steep = field.displacement_and_gradient(inner)
+        off = np.linalg.norm(steep[known] - gradients[known], ord=2, axis=(1, 2))
+        assert (off <= radii[known] + 1e-12).all()
+        eigenvalues = np.linalg.eigvalsh(0.5 * (steep + steep.transpose(0, 2, 1)))
+        assert (eigenvalues[:, 0] >= ranges[:, 0] - 1e-12).all()
+        assert (eigenvalues[:, -1] <= ranges[:, 1] + 1e-12).all()
+        assert (np.abs(there - values) <= reach + 1e-12).all()
+
+
 def worst_margin(
     kind: StepKind, field: Field, low: np.ndarray, high: np.ndarray, rng: np.random.Generator, *, beside: np.ndarray
 ) -> float:

@@ -192,8 +192,8 @@ class SolenoidalField:
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14)
         found = self.ceilings(where, half_widths)
         most = 2.0 * found[:, GRADIENT]
-        spread = np.minimum(most, found[:, BEND] * reach) + self._gradient_rounding(where)
-        return self.gradient(where), np.where(reach > 0.0, spread, self._gradient_rounding(where)) * (1.0 + 1e-14)
+        spread = np.where(reach > 0.0, np.minimum(most, found[:, BEND] * reach), 0.0)
+        return self.gradient(where), (spread + self._gradient_rounding(where)) * (1.0 + 1e-14)
 
     def _gradient_rounding(self, points: Points) -> Float:
         """(B,) how far computed gradients may be off, in the Frobenius norm, as in `solenoidal_bounds`."""

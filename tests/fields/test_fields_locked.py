@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from attacks import attack_boxes
 
 from musclefit.certify.maps import certify_map
 from musclefit.errors import FieldError
@@ -97,24 +98,12 @@ def test_the_inverse_undoes_the_step(locked):
 
 @pytest.mark.parametrize("half", [0.05, 0.4, 2.0, 9.0])
 def test_bounds_over_boxes_hold_at_every_place_tried(bounded, half):
-    locked = bounded
     rng = np.random.default_rng(int(100 * half))
     on = np.concatenate([UPPER.vertices, LOWER.vertices])
     centres = on[rng.integers(len(on), size=400)] + rng.normal(0.0, 1.5, (400, 3))
     halves = half * rng.uniform(0.3, 1.0, (400, 3))
-    gradients, radii = locked.gradient_bounds(centres, halves)
-    ranges, _ = locked.strain_bounds(centres, halves, enough=(-0.1, 0.1))
-    values, reach = locked.displacement_bounds(centres, halves)
-    assert np.isfinite(radii).all()
-    for _ in range(60):
-        inner = centres + halves * np.clip(rng.uniform(-1.15, 1.15, centres.shape), -1.0, 1.0)
-        there, steep = locked.displacement_and_gradient(inner)
-        off = np.linalg.norm(steep - gradients, ord=2, axis=(1, 2))
-        assert (off <= radii + 1e-12).all()
-        eigenvalues = np.linalg.eigvalsh(0.5 * (steep + steep.transpose(0, 2, 1)))
-        assert (eigenvalues[:, 0] >= ranges[:, 0] - 1e-12).all()
-        assert (eigenvalues[:, -1] <= ranges[:, 1] + 1e-12).all()
-        assert (np.abs(there - values) <= reach + 1e-12).all()
+    assert np.isfinite(bounded.gradient_bounds(centres, halves)[1]).all()
+    attack_boxes(bounded, centres, halves, rng, enough=(-0.1, 0.1), tries=60)
 
 
 def test_bounds_come_close_to_what_small_boxes_hold(locked):

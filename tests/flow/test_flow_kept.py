@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from attacks import attack_boxes
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -193,18 +194,8 @@ def test_bounds_of_locked_similarities_hold_at_every_place_tried(locked: Retarge
         centres = np.concatenate([locked.result.rest[n].surface.vertices for n in ("bone_long", "bone_round")])
         centres = centres[rng.integers(len(centres), size=150)] + rng.normal(0.0, 1.5, (150, 3))
         halves = half * rng.uniform(0.3, 1.0, (150, 3))
-        gradients, radii = field.gradient_bounds(centres, halves)
-        ranges, _ = field.strain_bounds(centres, halves, enough=(-0.1, 0.1))
-        values, reach = field.displacement_bounds(centres, halves)
-        assert np.isfinite(radii).all()
-        for _ in range(40):
-            inner = centres + halves * np.clip(rng.uniform(-1.15, 1.15, centres.shape), -1.0, 1.0)
-            there, steep = field.displacement_and_gradient(inner)
-            assert (np.linalg.norm(steep - gradients, ord=2, axis=(1, 2)) <= radii + 1e-12).all()
-            eigenvalues = np.linalg.eigvalsh(0.5 * (steep + steep.transpose(0, 2, 1)))
-            assert (eigenvalues[:, 0] >= ranges[:, 0] - 1e-12).all()
-            assert (eigenvalues[:, -1] <= ranges[:, 1] + 1e-12).all()
-            assert (np.abs(there - values) <= reach + 1e-12).all()
+        assert np.isfinite(field.gradient_bounds(centres, halves)[1]).all()
+        attack_boxes(field, centres, halves, rng, enough=(-0.1, 0.1), tries=40)
 
 
 def test_slips_are_named(folder: Path) -> None:

@@ -157,10 +157,12 @@ def resolved(
     tissues, work = _Tissues(given), {name: _Work() for name in given}
     planned = _planned(tissues, rule=rule, choice=choice, settings=settings, progress=progress)
     distance = CUT * settings.clearance_mm
-    grown = {
-        winner: grown_by(given[winner].surface, distance_mm=distance)
-        for winner in sorted({winner for plan in planned.plans.values() for winner in plan.winners})
-    }
+    grown: dict[str, TriMesh] = {}
+    winners = sorted({winner for plan in planned.plans.values() for winner in plan.winners})
+    with progress.stage("surroundings") as tick:
+        for done, winner in enumerate(winners, start=1):
+            grown[winner] = grown_by(given[winner].surface, distance_mm=distance)
+            tick(done / len(winners))
     with progress.stage("cuts") as tick:
         for done, name in enumerate(planned.plans, start=1):
             work[name].clearance_mm = distance
@@ -172,6 +174,10 @@ def resolved(
                 tissues.change(name, without_thin_walls(given[name].surface, work[name].log, settings=settings))
             tick(done / len(given))
     _make_room(tissues, work, planned, settings=settings, progress=progress)
+    with progress.stage("room that is left") as tick:
+        gaps = tissues.gaps(below_mm=settings.clearance_mm, changed=given)
+        tick(0.5)
+        thin = _thin(tissues.now, width_mm=settings.wall_mm)
     cut = {name: own for name, own in work.items() if tissues.now[name] is not given[name]}
     return Resolved(
         Anatomy(tuple(tissues.now.get(tissue.name, tissue) for tissue in anatomy), anatomy.frame),
@@ -179,8 +185,8 @@ def resolved(
         tuple(_said_cut(given[name], tissues.now[name], own, settings) for name, own in cut.items()),
         _meetings(tissues, progress=progress) if cut else (),
         settings.clearance_mm,
-        tissues.gaps(below_mm=settings.clearance_mm, changed=given),
-        _thin(tissues.now, width_mm=settings.wall_mm),
+        gaps,
+        thin,
     )
 
 

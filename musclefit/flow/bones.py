@@ -18,7 +18,7 @@ from musclefit.fields.rbf import RadialField
 from musclefit.fields.solenoidal import SolenoidalField
 from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
-from musclefit.flow.locks import BoneLocks, Stand
+from musclefit.flow.locks import BoneLocks, Stand, trial_without_locks
 from musclefit.flow.steppers import HandleStepper, StepMaker
 from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Bool, Float, Points
@@ -223,16 +223,8 @@ class BoneStepper:
         return (make,)
 
     def trial_of_held(self, step: Step, held: Points) -> Trial:
-        """As any point; where bones are locked, the samples of their surfaces go where the field takes them unlocked.
-
-        So every step makes up for what those before it missed, and what the locks add to them does not add up.
-        """
-        field = step.field
-        if not isinstance(field, LockedField):
-            return step.trial(held)
-        exact, samples = step.trial(held[: self.exact]), CayleyStep(field.base)(held[self.exact :])
-        still = np.zeros((len(samples), 3, 3))
-        return Trial(np.concatenate([exact.moved, samples]), np.concatenate([exact.gradients, still]))
+        """As any point; samples of locked bones go where the field takes them without locks."""
+        return trial_without_locks(step, held, exact=self.exact)
 
     def _exposed(self, t: float) -> list[Points]:
         return [s.vertices[~g.contact] for g, s in zip(self.groups, self._surfaces(t), strict=True)]

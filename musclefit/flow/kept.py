@@ -26,7 +26,7 @@ from musclefit.fields.protocol import Backend, Field
 from musclefit.fields.rbf import RadialField
 from musclefit.fields.summed import BoundedField, SummedField
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.locks import BoneLocks, Stand
+from musclefit.flow.locks import BoneLocks, Stand, trial_without_locks
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import StepMaker
@@ -434,13 +434,7 @@ class LockedBoneStepper:
 
     def trial_of_held(self, step: Step, held: Points) -> Trial:
         """As any point; samples of bones go where the field would take them without locks."""
-        field = step.field
-        if not isinstance(field, LockedField):
-            return step.trial(held)
-        count = len(self.path.position(0.0))
-        handles, samples = step.trial(held[:count]), CayleyStep(field.base)(held[count:])
-        still = np.zeros((len(samples), 3, 3))
-        return Trial(np.concatenate([handles.moved, samples]), np.concatenate([handles.gradients, still]))
+        return trial_without_locks(step, held, exact=len(self.path.position(0.0)))
 
     def _moved(self, places: Sequence[Points], t: float) -> Points:
         parts = [bone.way.at(t)(part) for bone, part in zip(self.bones, places, strict=True)]

@@ -16,7 +16,8 @@ from musclefit.compiling import njit
 from musclefit.errors import FieldError
 from musclefit.fields import bricks as sums
 from musclefit.fields.bricks import ACROSS, NOTHING, ONE, SIDE, WHOLE
-from musclefit.fields.locked import Fade, Lock, Nearness
+from musclefit.fields.locked import Fade, Lock, LockedField, Nearness
+from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
@@ -135,6 +136,36 @@ class BoneLocks:
             Lock.of_step(near, fade, (a.linear, a.translation), (b.linear, b.translation))
             for near, fade, a, b in zip(self.near, self.fades, before, after, strict=True)
         )
+
+
+def trial_without_locks(step: Step, held: Points, *, exact: int) -> Trial:
+    """A step tried on places that it is held to: all but the first few go where it would take them without locks.
+
+    So every step makes up for what those before it missed, and what the locks add to them does not add up.
+
+    Parameters
+    ----------
+    step : Step
+    held : (h, 3) float64, mm
+    exact : int
+        The first so many are no samples of bones: they go where the step takes them.
+    """
+    field = step.field
+    if not isinstance(field, LockedField):
+        return step.trial(held)
+    handles, samples = step.trial(held[:exact]), CayleyStep(field.base)(held[exact:])
+    still = np.zeros((len(samples), 3, 3))
+    return Trial(np.concatenate([handles.moved, samples]), np.concatenate([handles.gradients, still]))
+
+
+def with_zone(locks: Sequence[LockSettings], zone_mm: float) -> tuple[LockSettings, ...]:
+    """Locks that give way to each other within a zone of a given width, on lattices that are narrow enough for it."""
+    spacings = [min(lock.spacing_mm, zone_mm / (2.0 + ZONE)) for lock in locks]
+    apart = zone_mm - ZONE * max(spacings, default=0.0)
+    return tuple(
+        LockSettings(spacing, Fade(max(min(lock.fade.over_mm, apart), spacing), apart))
+        for lock, spacing in zip(locks, spacings, strict=True)
+    )
 
 
 def nearness_of(surface: TriMesh, *, spacing_mm: float, reach_mm: float) -> Nearness:

@@ -13,7 +13,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.fields.locked import Fade
 from musclefit.flow.bones import moving_together, poses_on_the_way
-from musclefit.flow.locks import ZONE, LockSettings
+from musclefit.flow.locks import LockSettings, with_zone
 from musclefit.geometry.arrays import Float
 from musclefit.geometry.distances import DistanceTree, nearest_places
 from musclefit.geometry.grading import EdgeLengths
@@ -52,8 +52,8 @@ CHORD, CHORDS = 0.5, (0.0025, 0.01)
 bounds in units of the size of the bones that meet."""
 
 TIGHT, LOOKED_AT = 0.05, 400
-"""Vertices of each tissue that gaps are measured at, at most."""
-
+"""Share of the tissues' surfaces that may be closer to the next tissue than the gap that counts, and vertices of each
+tissue that gaps are measured at, at most."""
 
 LOCKED_ITERATIONS, FREE_ITERATIONS = 15, 40
 """Of least squares, with locks and without: these make up for what the field leaves."""
@@ -139,30 +139,30 @@ def bone_choices(job: Job) -> BoneChoices:
     spacing = given.handle_spacing_mm
     if spacing is None:
         spacing = HANDLES * size
-        findings.append(_chosen("bones.handle_spacing_mm", f"{spacing:.3g} mm", why))
+        findings.append(chosen_setting("bones.handle_spacing_mm", f"{spacing:.3g} mm", why))
     lattices = given.lattices_mm
     if lattices is None:
         narrowest = _of_few_digits(NARROWEST * size)
         lattices = tuple(times * narrowest for times in WIDER)
-        findings.append(_chosen("bones.lattices_mm", ", ".join(f"{h:.3g}" for h in lattices) + " mm", why))
+        findings.append(chosen_setting("bones.lattices_mm", ", ".join(f"{h:.3g}" for h in lattices) + " mm", why))
     locks = tuple(
         LockSettings(LOCK * width, Fade(FADE * width, APART * width))
         for width in (min(thickness, size) for _, thickness in sizes.thinnest)
     )
     if given.contact_zone_mm is not None:
-        locks = tuple(_with_zone(lock, given.contact_zone_mm) for lock in locks)
+        locks = tuple(with_zone([lock], given.contact_zone_mm)[0] for lock in locks)
         zones = np.full((len(locks), len(locks)), given.contact_zone_mm)
     else:
         zones = np.array([[min(a.zone_mm, b.zone_mm) for a in locks] for b in locks])
         findings += [
-            _chosen("bones.contact_zone_mm", f"{lock.zone_mm:.3g} mm", f"{bone} is {thickness:.3g} mm thick")
+            chosen_setting("bones.contact_zone_mm", f"{lock.zone_mm:.3g} mm", f"{bone} is {thickness:.3g} mm thick")
             for lock, (bone, thickness) in zip(locks, sizes.thinnest, strict=True)
         ]
     iterations = given.iterations
     if iterations is None:
         iterations = LOCKED_ITERATIONS if given.lock else FREE_ITERATIONS
         findings.append(
-            _chosen("bones.iterations", f"{iterations}", f"bones are {'locked' if given.lock else 'not locked'}")
+            chosen_setting("bones.iterations", f"{iterations}", f"bones are {'locked' if given.lock else 'not locked'}")
         )
     samples = (LOCKED_SAMPLES if given.lock else SAMPLES) * size
     return BoneChoices(sizes.groups, spacing, samples, lattices, iterations, locks, zones, tuple(findings))
@@ -180,18 +180,18 @@ def surface_choices(job: Job) -> SurfaceChoices:
     chord, longest = given.chord_tolerance_mm, given.longest_edge_mm
     if not (job.rig.bones.rigid and given.refine):
         return SurfaceChoices(
-            CHORD_MM if chord is None else chord, EdgeLengths.even(EVEN_MM if longest is None else longest), ()
+            CHORD_MM if chord is None else chord, _even_edges(EVEN_MM if longest is None else longest), ()
         )
     assert job.motions is not None  # a rig with rigid bones says how they move
     if longest is not None:
-        edges = EdgeLengths.even(longest)
+        edges = _even_edges(longest)
     else:
         near = EDGES * min(bone_choices(job).lattices_mm)
         moving = sorted(set(job.motions.at(1.0)) & {tissue.name for tissue in job.anatomy})
         edges = _edges_beside(job.anatomy, tuple(moving), near)
         value = f"{near:.3g} mm beside moving bones to {edges.most_mm:.3g} mm far from them"
         findings.append(
-            _chosen("surfaces.longest_edge_mm", value, f"the narrowest lattice is {near / EDGES:.3g} mm wide")
+            chosen_setting("surfaces.longest_edge_mm", value, f"the narrowest lattice is {near / EDGES:.3g} mm wide")
         )
     if chord is None:
         size = bone_sizes(job.anatomy, job.motions).typical_mm
@@ -200,8 +200,14 @@ def surface_choices(job: Job) -> SurfaceChoices:
         chord = min(max(CHORD * gap, least), most)
         tight = f"{gap:.2g} mm" if gap < most / CHORD else f"at least {most / CHORD:.2g} mm"
         why = f"all but {TIGHT:.0%} of the tissues' surfaces are {tight} from the next, and bones {size:.3g} mm thick"
-        findings.append(_chosen("surfaces.chord_tolerance_mm", f"{chord:.2g} mm", why))
+        findings.append(chosen_setting("surfaces.chord_tolerance_mm", f"{chord:.2g} mm", why))
     return SurfaceChoices(chord, edges, tuple(findings))
+
+
+@lru_cache(maxsize=4)
+def _even_edges(length_mm: float) -> EdgeLengths:
+    """The same length everywhere; the same for every pose."""
+    return EdgeLengths.even(length_mm)
 
 
 @lru_cache(maxsize=4)
@@ -271,18 +277,12 @@ def _meet(a: TriMesh, b: TriMesh, thick: dict[str, float], name: str, other: str
     return len(inside) > 0 and float(nearest_places(inside, b).distances.min()) < near
 
 
-def _with_zone(lock: LockSettings, zone: float) -> LockSettings:
-    """With a zone of a given width, and a lattice that is narrow enough for it."""
-    spacing = min(lock.spacing_mm, zone / (2.0 + ZONE))
-    apart = zone - ZONE * spacing
-    return LockSettings(spacing, Fade(max(min(lock.fade.over_mm, apart), spacing), apart))
-
-
 def _of_few_digits(length: float) -> float:
     """A length near another whose multiples are exact numbers: of ten binary digits."""
     mantissa, exponent = math.frexp(length)
     return math.ldexp(round(mantissa * 1024.0), exponent - 10)
 
 
-def _chosen(key: str, value: str, why: str) -> Finding:
+def chosen_setting(key: str, value: str, why: str) -> Finding:
+    """What was chosen for a key that the rig leaves open, and why."""
     return Finding(key, "chosen-setting", f"{key}: {value}, because {why}")

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
 
-from musclefit.anatomy.model import Anatomy, TissueKind
-from musclefit.errors import RigError
+from musclefit.anatomy.model import Anatomy
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.ffd_fit import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
@@ -32,13 +30,12 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.distances import thinned
 from musclefit.geometry.meshes import TriMesh
 from musclefit.pipeline.choices import bone_choices
-from musclefit.pipeline.kept_choices import KeptChoices, kept_choices
+from musclefit.pipeline.kept_choices import bone_limits, kept_choices
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
 from musclefit.rig.model import (
     BackendKind,
-    BoneLimit,
     DeformerSettings,
     JointDrive,
     Kernel,
@@ -46,7 +43,6 @@ from musclefit.rig.model import (
     StepKind,
     TestedAt,
 )
-from musclefit.rig.section import suggestion
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
     {StepKind.EXPLICIT: explicit_step, StepKind.CAYLEY: cayley_step}
@@ -146,7 +142,7 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
         At rest: the rule is tested there.
     """
     bones, settings, limits = job.rig.bones, job.rig.deformer, bone_limits(job)
-    kept = kept_bones(job.anatomy, free, limits=limits, zones_mm=kept_choices(job, limits).zones_mm)
+    kept = kept_bones(job.anatomy, free, limits=limits, zones_mm=kept_choices(job).zones_mm)
     held = keeping_bones(
         free,
         kept,
@@ -161,8 +157,7 @@ def keep_bones(job: Job, free: Deformation, points: Points, *, progress: Progres
 
 def locks_kept(job: Job) -> bool:
     """True where kept bones are locked: they are part of the march then."""
-    limits = bone_limits(job)
-    return job.rig.bones.lock and bool(limits) and bool(kept_choices(job, limits).locked)
+    return bool(kept_choices(job).locked)
 
 
 def locked_march_of(
@@ -183,7 +178,7 @@ def locked_march_of(
     tuple of KeptBone
     """
     settings, limits = job.rig.deformer, bone_limits(job)
-    chosen = kept_choices(job, limits)
+    chosen = kept_choices(job)
     pace = Pace(settings.max_steps, least_steps(job), settings.share, job.stops)
     rule, backend = rule_for(settings.step, settings.step_rule), backend_for(settings)
     tested = np.concatenate([points_beside(job.handles.source), *kept_samples(job.anatomy, limits)])
@@ -192,14 +187,15 @@ def locked_march_of(
     kept = kept_bones(job.anatomy, free, limits=limits, zones_mm=chosen.zones_mm)
     if free.status is not Status.CONVERGED:
         return free, kept
-    locking = _locked_stepper(job, kept, chosen, progress)
+    locking = _locked_stepper(job, kept, progress)
     held = locking.held_points()
     march = Marching.begun(locking, rule=rule, tested=np.vstack([points, held]), pace=pace, held=len(held))
     return march.marched(progress), kept
 
 
-def _locked_stepper(job: Job, kept: tuple[KeptBone, ...], chosen: KeptChoices, progress: Progress) -> LockedBoneStepper:
+def _locked_stepper(job: Job, kept: tuple[KeptBone, ...], progress: Progress) -> LockedBoneStepper:
     """The stepper that follows the handles and carries the bones."""
+    chosen = kept_choices(job)
     surfaces = [job.anatomy[bone.name].surface for bone in kept]
     settings = [chosen.locks[k] for k in chosen.locked]
     return LockedBoneStepper.of(
@@ -224,25 +220,6 @@ def least_steps(job: Job) -> int:
         turn = max((motion.turn_deg for motion in job.motions.at(1.0).values()), default=0.0)
     # 1e-9: what rounding adds to a whole number of steps.
     return max(settings.min_steps, math.ceil(turn / settings.degrees_per_step - 1e-9))
-
-
-def bone_limits(job: Job) -> Mapping[str, BoneLimit]:
-    """The bones that the rig keeps from deforming freely; the stricter limit counts.
-
-    Raises
-    ------
-    RigError
-        A name or pattern that fits no bone.
-    """
-    bones = [tissue.name for tissue in job.anatomy.of_kind(TissueKind.BONE)]
-    found: dict[str, BoneLimit] = {}
-    for limit, key in ((BoneLimit.SIMILAR, "keep_similar"), (BoneLimit.RIGID, "keep_rigid")):
-        for pattern in getattr(job.rig.bones, key):
-            fits = [bone for bone in bones if fnmatchcase(bone, pattern)]
-            if not fits:
-                raise RigError(f"{job.source}: bones.{key}: {pattern!r} fits no bone; {suggestion(pattern, bones)}")
-            found.update(dict.fromkeys(fits, limit))
-    return found
 
 
 def deform_in_one_shot(job: Job, points: Points) -> Deformation:
@@ -342,15 +319,23 @@ def _locks(
     anatomy: Anatomy, groups: Sequence[RigidGroup], settings: Sequence[LockSettings], progress: Progress
 ) -> BoneLocks:
     """What locks the field to groups of bones."""
-    with progress.stage("distances around bones"):
-        return _locks_once(anatomy, tuple(group.bones for group in groups), tuple(settings))
+    return _locks_once(anatomy, tuple(group.bones for group in groups), tuple(settings), _Told(progress))
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """Progress that makes no difference to what is found: it is no part of what is remembered."""
+
+    progress: Progress = field(compare=False)
 
 
 @lru_cache(maxsize=2)
-def _locks_once(anatomy: Anatomy, groups: tuple[tuple[str, ...], ...], settings: tuple[LockSettings, ...]) -> BoneLocks:
+def _locks_once(
+    anatomy: Anatomy, groups: tuple[tuple[str, ...], ...], settings: tuple[LockSettings, ...], told: _Told
+) -> BoneLocks:
     """The locks at rest, for every pose that the same anatomy is sent to."""
     surfaces = [TriMesh.together([anatomy[bone].surface for bone in bones]) for bones in groups]
-    return BoneLocks.around(surfaces, settings)
+    return BoneLocks.around(surfaces, settings, progress=told.progress)
 
 
 def _spread_handles(handles: Handles, groups: tuple[RigidGroup, ...], *, spacing_mm: float) -> Handles | None:

@@ -1,20 +1,25 @@
-"""What a rig leaves open of kept bones: how close two come where the field may slip, and where locks fade."""
+"""Which bones a rig keeps, and what it leaves open of them: where the field may slip between two, where locks fade."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import lru_cache
 
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import TissueKind
+from musclefit.errors import RigError
 from musclefit.fields.locked import Fade
-from musclefit.flow.locks import ZONE, LockSettings
+from musclefit.flow.locks import ZONE, LockSettings, with_zone
 from musclefit.geometry.arrays import Float
 from musclefit.geometry.distances import DistanceTree
-from musclefit.pipeline.choices import thickness
+from musclefit.pipeline.choices import chosen_setting, thickness
 from musclefit.rig.job import Job
 from musclefit.rig.model import BoneLimit
+from musclefit.rig.section import suggestion
 
 ZONE_MM = 4.0
 """How close a kept bone comes to another where the field may slip along it, without locks, unless the rig says so."""
@@ -47,32 +52,57 @@ class KeptChoices:
     findings: tuple[Finding, ...]
 
 
-def kept_choices(job: Job, limits: Mapping[str, BoneLimit]) -> KeptChoices:
+def bone_limits(job: Job) -> Mapping[str, BoneLimit]:
+    """The bones that the rig keeps from deforming freely; the stricter limit counts.
+
+    Raises
+    ------
+    RigError
+        A name or pattern that fits no bone.
+    """
+    bones = [tissue.name for tissue in job.anatomy.of_kind(TissueKind.BONE)]
+    found: dict[str, BoneLimit] = {}
+    for limit, key in ((BoneLimit.SIMILAR, "keep_similar"), (BoneLimit.RIGID, "keep_rigid")):
+        for pattern in getattr(job.rig.bones, key):
+            fits = [bone for bone in bones if fnmatchcase(bone, pattern)]
+            if not fits:
+                raise RigError(f"{job.source}: bones.{key}: {pattern!r} fits no bone; {suggestion(pattern, bones)}")
+            found.update(dict.fromkeys(fits, limit))
+    return found
+
+
+@lru_cache(maxsize=2)
+def kept_choices(job: Job) -> KeptChoices:
     """The lengths of a job with kept bones; what its rig gives stands.
 
     Parameters
     ----------
     job : Job
-    limits : mapping of bone to BoneLimit
+
+    Raises
+    ------
+    RigError
+        As `bone_limits`.
     """
-    given, count = job.rig.bones, len(limits)
-    if not given.lock:
+    given, limits = job.rig.bones, bone_limits(job)
+    count = len(limits)
+    if not (given.lock and limits):
         zone = ZONE_MM if given.contact_zone_mm is None else given.contact_zone_mm
         return KeptChoices(np.full((count, count), zone), (), (), ())
     thick = [thickness(job.anatomy[name].surface) for name in limits]
     widths = [min(width, float(np.median(thick))) for width in thick]
     locks = tuple(LockSettings(LOCK * width, Fade(FADE * width, APART * width)) for width in widths)
     if given.contact_zone_mm is not None:
-        locks = _with_zone(locks, given.contact_zone_mm)
+        locks = with_zone(locks, given.contact_zone_mm)
     zones = np.array([[_zone(a, b) for a in locks] for b in locks])
     findings = []
     if given.contact_zone_mm is None:
         findings.append(
-            Finding(
+            chosen_setting(
                 "bones.contact_zone_mm",
-                "chosen-setting",
-                f"bones.contact_zone_mm: {zones.min():.3g} to {zones.max():.3g} mm, because the bones that are kept "
-                f"are {min(thick):.3g} to {max(thick):.3g} mm thick (3 V / A, median {np.median(thick):.3g})",
+                f"{zones.min():.3g} to {zones.max():.3g} mm",
+                f"the bones that are kept are {min(thick):.3g} to {max(thick):.3g} mm thick (3 V / A, median "
+                f"{np.median(thick):.3g})",
             )
         )
     locked = []
@@ -95,16 +125,6 @@ def kept_choices(job: Job, limits: Mapping[str, BoneLimit]) -> KeptChoices:
 def _zone(a: LockSettings, b: LockSettings) -> float:
     """Places of two bones that are farther apart than this move exactly with their own."""
     return min(a.fade.apart_mm, b.fade.apart_mm) + ZONE * max(a.spacing_mm, b.spacing_mm)
-
-
-def _with_zone(locks: tuple[LockSettings, ...], zone: float) -> tuple[LockSettings, ...]:
-    """With a zone of a given width between any two, on lattices that are narrow enough for it."""
-    spacings = [min(lock.spacing_mm, zone / (2.0 + ZONE)) for lock in locks]
-    apart = zone - ZONE * max(spacings)
-    return tuple(
-        LockSettings(spacing, Fade(max(min(lock.fade.over_mm, apart), spacing), apart))
-        for lock, spacing in zip(locks, spacings, strict=True)
-    )
 
 
 def _nearest_handle(job: Job, bone: str) -> float:

@@ -22,7 +22,8 @@ from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.surface_samples import EDGES_PER_SPACING, surface_samples
 from musclefit.geometry.volumes import area_vectors
 from musclefit.pipeline.choices import surface_choices
-from musclefit.pipeline.deformers import Deformed, bone_limits, keep_bones, locked_march_of, locks_kept, march_of
+from musclefit.pipeline.deformers import Deformed, keep_bones, locked_march_of, locks_kept, march_of
+from musclefit.pipeline.kept_choices import bone_limits
 from musclefit.progress import Progress
 from musclefit.rig.job import Job
 from musclefit.rig.model import StepKind, TestedAt
@@ -89,16 +90,15 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     between, gap = _between(cut.anatomy, longest_mm=chosen.longest.most_mm)
     along = between if settings.step is StepKind.CAYLEY and settings.tested_at is TestedAt.ALL_POINTS else between[:0]
     tested = np.vstack([points, along])
+    groups: tuple[RigidGroup, ...] = ()
+    kept: tuple[KeptBone, ...] = ()
     if locks_kept(job):
-        march, kept = locked_march_of(job, tested, progress=progress)
-        groups: tuple[RigidGroup, ...] = ()
-        riders: Riders = riders_of(march, tested, progress=progress)
-    elif bone_limits(job):
-        made, groups = march_of(job, tested, progress=progress)
-        riders = KeptRiders.of(job, riders_of(made, tested, progress=progress), tested, progress)
+        made, kept = locked_march_of(job, tested, progress=progress)
     else:
         made, groups = march_of(job, tested, progress=progress)
-        riders = riders_of(made, tested, progress=progress)
+    riders: Riders = riders_of(made, tested, progress=progress)
+    if bone_limits(job) and not kept:
+        riders = KeptRiders.of(job, riders, tested, progress)
     if surfaces.refine:
         carried, riders = finely_carried(cut, riders, tolerance_mm=chosen.chord_mm, whole=whole, progress=progress)
     else:
@@ -107,8 +107,7 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     deformation = riders.deformation
     if carried.unsolved and deformation.status is Status.CONVERGED:
         deformation = replace(deformation, status=Status.UNSOLVED)
-    if not locks_kept(job):
-        kept = riders.kept if isinstance(riders, KeptRiders) else ()
+    kept = riders.kept if isinstance(riders, KeptRiders) else kept
     of_between = np.linalg.det(riders.jacobians[len(points) : len(tested)])
     sampled = _looked_at(carried, deformation, between, gap, known=of_between if len(along) else None)
     return Made(Deformed(deformation, groups, kept), carried, sampled, riders.returns)

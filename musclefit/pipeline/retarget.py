@@ -30,12 +30,11 @@ from musclefit.pipeline.compared import LoopProgress, papers_loop
 from musclefit.pipeline.deformers import (
     Deformed,
     baseline_in_words,
-    bone_limits,
     deform_in_one_shot,
     method_in_words,
     rule_in_words,
 )
-from musclefit.pipeline.kept_choices import kept_choices
+from musclefit.pipeline.kept_choices import bone_limits, kept_choices
 from musclefit.pipeline.poses import bones_of, ranges_of, refuse_collision, shared_in_the_pose
 from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finely
 from musclefit.progress import Progress, Silent
@@ -471,7 +470,7 @@ def _motions(job: Job, deformed: Deformed) -> Mapping[str, Motion]:
 def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
     exposed, contact = kept_residuals(deformed.kept, deformed.deformation)
     return BoneFieldCheck(
-        contact_zone_mm=float(kept_choices(job, bone_limits(job)).zones_mm.max()),
+        contact_zone_mm=float(kept_choices(job).zones_mm.max()),
         exposed_vertices=len(exposed),
         contact_vertices=len(contact),
         residual_p99_mm=float(np.quantile(exposed, 0.99)) if len(exposed) else 0.0,
@@ -483,7 +482,7 @@ def _kept_field(job: Job, deformed: Deformed) -> BoneFieldCheck:
 def _chosen(job: Job) -> tuple[Finding, ...]:
     """What the rig leaves open of rigid and of kept bones, and of surfaces."""
     rigid = job.rig.bones.rigid
-    of_bones = bone_choices(job).findings if rigid else kept_choices(job, bone_limits(job)).findings
+    of_bones = bone_choices(job).findings if rigid else kept_choices(job).findings
     return (*of_bones, *surface_choices(job).findings) if job.rig.surfaces.refine else of_bones
 
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,9 @@ from musclefit.geometry.volumes import enclosed_volume
 from musclefit.io import runs
 from musclefit.io.outputs import ply_bytes
 from musclefit.io.surfaces import read_surface
+from musclefit.pipeline.deformers import _bone_stepper
 from musclefit.pipeline.retarget import Outcome, Retargeting
-from musclefit.progress import Tick
+from musclefit.progress import Silent, Tick
 from musclefit.report.model import CONVERGED
 from musclefit.report.schema import to_json
 
@@ -236,6 +238,15 @@ def test_progress_is_told_stage_by_stage(rig: Path) -> None:
         told = watched.ticks[name]
         assert told == sorted(told)
         assert told[-1] == 1.0
+
+
+def test_the_distances_around_locked_bones_are_told_and_made_once(bent_rig: Path) -> None:
+    job, watched = musclefit.read_rig(bent_rig, overrides=("deformer.method=rigid-bones",)), Watched()
+    stepper = _bone_stepper(job, watched)
+    told = watched.ticks["distances around bones"]
+    assert told == [(k + 1) / len(stepper.groups) for k in range(len(stepper.groups))]
+    assert len(told) > 1
+    assert _bone_stepper(replace(job), Silent()).locks is stepper.locks
 
 
 # --- bones by their joints

@@ -88,6 +88,11 @@ def test_what_no_pose_changes_is_made_once(job: Job, plan: SequencePlan) -> None
     cut = refining._cut(one, frozenset())
     assert refining._cut(other, frozenset()) is cut
     assert refining._cut(other, frozenset({"bone_distal"})) is not cut
+    surfaces = replace(job.rig.surfaces, refine=True, longest_edge_mm=4.0)
+    finer = (replace(posed, rig=replace(posed.rig, surfaces=surfaces)) for posed in (one, other))
+    first, second = (refining._cut(posed, frozenset()) for posed in finer)
+    assert first is second
+    assert len(first.anatomy.vertices()) > len(cut.anatomy.vertices())
     longest = surface_choices(job).longest.most_mm
     assert refining._between(cut.anatomy, longest_mm=longest) is refining._between(cut.anatomy, longest_mm=longest)
 

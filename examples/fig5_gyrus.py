@@ -100,7 +100,7 @@ def control_displacements(lattice: Lattice, at: Points, displacements: Points) -
     """Displacements of least norm of the control points, mm, for which a one-shot FFD meets its landmarks."""
     unit = np.eye(int(np.prod(lattice.shape)))
     weights = [lattice.field(np.pad(one[:, None], ((0, 0), (0, 2)))).displacement(at)[:, 0] for one in unit]
-    return np.linalg.lstsq(np.stack(weights, axis=1), displacements, rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(np.stack(weights, axis=1), displacements, rcond=None)[0], dtype=np.float64)
 
 
 def measure(method: str, deformation: Deformation, scene: Gyrus) -> Row:

@@ -13,12 +13,14 @@ from __future__ import annotations
 import argparse
 import csv
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from igl import point_mesh_squared_distance
+from numpy.typing import NDArray
 
 from musclefit.certify.maps import certify_map
 from musclefit.fields.ffd_fit import FfdBackend
@@ -38,6 +40,10 @@ from musclefit.rig.handles import StraightPath
 from musclefit.rig.model import StepKind
 
 BACKENDS: dict[str, Backend] = {"RBF r^2 log r": RadialBackend("r2logr"), "FFD 20 mm": FfdBackend(20.0)}
+
+
+Image: TypeAlias = NDArray[np.float32]
+Map: TypeAlias = Callable[[Points], Points]
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,11 @@ def certified(deformation: Deformation, body: TriMesh | Points) -> tuple[str, fl
     return proof.claim.value, proof.margin
 
 
+def in_turn(first: Map, second: Map) -> Map:
+    """One map after another."""
+    return lambda points: second(first(points))
+
+
 def distance(a: Points, b: TriMesh) -> float:
     """Mean distance of points from a surface, mm."""
     return float(np.sqrt(point_mesh_squared_distance(np.array(a), np.array(b.vertices), np.array(b.faces))[0]).mean())
@@ -102,8 +113,8 @@ def between(a: TriMesh, b: TriMesh) -> float:
 
 def judge(
     what: str,
-    there: Callable[[Points], Points],
-    back: Callable[[Points], Points],
+    there: Map,
+    back: Map,
     *,
     ends: tuple[TriMesh, TriMesh, Points, Points],
     steps: int,
@@ -130,7 +141,10 @@ def judge(
 def compare(brains: Brains, backend: Backend) -> tuple[list[Row], dict[str, Deformation], float]:
     """All maps of one backend; and how far apart the two directions all the way are, mm."""
     child, adult = brains.child, brains.adult
-    boxes = {"child": np.stack([child.vertices.min(axis=0), child.vertices.max(axis=0)]), "adult": adult}
+    boxes: dict[str, TriMesh | Points] = {
+        "child": np.stack([child.vertices.min(axis=0), child.vertices.max(axis=0)]),
+        "adult": adult,
+    }
     ends = {
         "child to adult": (child, adult, brains.child_landmarks, brains.adult_landmarks),
         "adult to child": (adult, child, brains.adult_landmarks, brains.child_landmarks),
@@ -161,8 +175,8 @@ def compare(brains: Brains, backend: Backend) -> tuple[list[Row], dict[str, Defo
         rows.append(
             judge(
                 f"{what}, through the middle",
-                lambda x, first=first, last=last: last.inverse()(first(x)),
-                lambda x, first=first, last=last: first.inverse()(last(x)),
+                in_turn(first, last.inverse()),
+                in_turn(last, first.inverse()),
                 ends=end,
                 steps=len(first.steps) + len(last.steps),
                 proofs=proofs,
@@ -220,7 +234,7 @@ def around(surface: TriMesh, *, spacing_mm: float) -> Grid:
     return Grid((int(counts[0]), int(counts[1]), int(counts[2])), affine)
 
 
-def draw_slices(determinants: dict[str, tuple[Points, Grid, TriMesh]], file: Path) -> None:
+def draw_slices(determinants: Mapping[str, tuple[Image, Grid, TriMesh]], file: Path) -> None:
     """An axial slice through each Jacobian map, with the outline of the brain that the map is defined on."""
     import pyvista as pv
 

@@ -99,6 +99,7 @@ def others(job: Job, pose: Pose) -> tuple[list[Row], list[Anatomy]]:
     start = time.process_time()
     result = retarget(posed, tets=None)
     both_s = time.process_time() - start
+    assert result.baseline is not None
     rows = [
         row_of("one shot", pose, result.baseline.side, one_shot_s),
         row_of("the paper's loop", pose, result.result.side, both_s),

@@ -14,6 +14,7 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.certify.maps import certify_map
+from musclefit.fields.protocol import Field
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.steps import CayleyStep
 from musclefit.geometry.volumes import enclosed_volume
@@ -47,7 +48,7 @@ def volume_changes(rest: Anatomy, deformed: Anatomy) -> np.ndarray:
     )
 
 
-def steps_of(deformation: Deformation) -> list:
+def steps_of(deformation: Deformation) -> list[tuple[StepKind, Field]]:
     """Kinds and fields, as the certificate takes them."""
     return [
         (StepKind.CAYLEY if isinstance(step, CayleyStep) else StepKind.EXPLICIT, step.field)

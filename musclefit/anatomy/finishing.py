@@ -1,4 +1,4 @@
-"""A surface that a boolean cut -> one fit to be bent: no crossings, crumbs, thin walls or slivers; knows no other."""
+"""A surface that a boolean cut -> one fit to be bent, free of crossings, crumbs, thin walls, slivers and contacts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from musclefit.anatomy.repair import tidied
 from musclefit.anatomy.repairs import Change, RepairSettings
 from musclefit.geometry.faults import faults_of
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.self_clearance import with_self_clearance
 from musclefit.geometry.slivers import without_slivers
 from musclefit.geometry.thin_walls import thin_places, without_thin_places
 from musclefit.geometry.volumes import enclosed_volume
@@ -20,6 +21,10 @@ RELAX = 0.25
 
 SLIVER, SLIVER_MOVED = 0.1, 0.25
 """Height below which a triangle is a sliver, and how far a place may move for it to go, in clearances."""
+
+SHEETS = 0.2
+"""Width, in clearances, that parts of a surface keep from each other, at whatever angle they meet: what is
+closer crosses as soon as it is bent. It is made by moving vertices no farther than ``RELAX``."""
 
 WALL_ROUNDS = 3
 """How often thin walls are cut out: a cut may leave others."""
@@ -42,6 +47,10 @@ class Log:
     thin_volume_mm3: float = 0.0
     slivers: int = 0
     moved_mm: float = 0.0
+    parted: int = 0
+    parted_mm: float = 0.0
+    folds: int = 0
+    folds_filled: int = 0
 
     def said(self, settings: RepairSettings) -> tuple[Change, ...]:
         """All of it as changes."""
@@ -58,6 +67,14 @@ class Log:
                 f"by up to {self.moved_mm:.3f} mm"
             )
             said.append(Change("slivers", self.slivers, message))
+        if self.parted or self.folds:
+            message = (
+                f"moved {self.parted} vertices by up to {self.parted_mm:.3f} mm where the surface was closer to itself "
+                f"than {SHEETS * settings.clearance_mm:.3g} mm"
+            )
+            if self.folds:
+                message += f"; took out {self.folds} triangles of folds and fins, and filled in {self.folds_filled}"
+            said.append(Change("parted-sheets", self.parted + self.folds, message))
         return tuple(said)
 
 
@@ -72,6 +89,17 @@ def finished(cut: TriMesh, log: Log, *, settings: RepairSettings) -> TriMesh:
     done = without_slivers(mesh, least_mm=least, most_mm=most)
     log.slivers += done.slivers - done.left
     log.moved_mm = max(log.moved_mm, done.moved_mm)
+    return without_contacts(done.mesh, log, settings=settings)
+
+
+def without_contacts(mesh: TriMesh, log: Log, *, settings: RepairSettings) -> TriMesh:
+    """The very same surface where no parts of it all but touch each other."""
+    clearance = settings.clearance_mm
+    done = with_self_clearance(mesh, width_mm=SHEETS * clearance, most_mm=RELAX * clearance)
+    log.parted += done.moved
+    log.parted_mm = max(log.parted_mm, done.moved_mm)
+    log.folds += done.removed
+    log.folds_filled += done.filled
     return done.mesh
 
 

@@ -18,7 +18,7 @@ import igl
 import numpy as np
 
 from musclefit.anatomy.choosing import Chooser, Overlap
-from musclefit.anatomy.finishing import SLIVER, SMOOTH, Log, finished, without_thin_walls
+from musclefit.anatomy.finishing import SLIVER, SMOOTH, Log, finished, without_contacts, without_thin_walls
 from musclefit.anatomy.midsurfaces import halves, own_sides
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repair import whole_pieces
@@ -171,7 +171,8 @@ def resolved(
     with progress.stage("thin places") as tick:
         for done, name in enumerate(given, start=1):
             if name not in planned.plans:
-                tissues.change(name, without_thin_walls(given[name].surface, work[name].log, settings=settings))
+                walled = without_thin_walls(given[name].surface, work[name].log, settings=settings)
+                tissues.change(name, without_contacts(walled, work[name].log, settings=settings))
             tick(done / len(given))
     _make_room(tissues, work, planned, settings=settings, progress=progress)
     with progress.stage("room that is left") as tick:

@@ -20,7 +20,10 @@ NOT_CONVERGED = {
 ENDED_EARLY = f'Run a method that is held to a rule: deformer.method = "yu2014", or {BEST}.'
 
 LANDMARKS_LATE = "Settle why the run did not converge: landmarks arrive where it does."
-LANDMARKS_MISSED = "Set deformer.smoothing = 0, or limits.landmark_mm to what the landmarks are worth."
+LANDMARKS_MISSED = (
+    "Set deformer.smoothing = 0; move the landmark along its bone where it lies on another bone, which cannot be where "
+    "it is at the same time; or set limits.landmark_mm to what the landmarks are worth."
+)
 
 FOLDED = (
     'Set deformer.tested_at = "all-points" and surfaces.longest_edge_mm lower, so that the rule is tested closer to '

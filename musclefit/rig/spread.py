@@ -6,10 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Int, Points, frozen
+from musclefit.geometry.distances import nearest_places
 from musclefit.rig.handles import Handles
+
+APART_SHARE = 0.02
+"""Of a bone's size: closer to another bone no landmark is put. Where bones meet they share room in a pose, and no map
+brings both to their places."""
 
 
 def spread_over(vertices: Points, count: int) -> Int:
@@ -59,6 +64,8 @@ def spread_over(vertices: Points, count: int) -> Int:
 def bone_landmarks(anatomy: Anatomy, bones: Sequence[str], *, per_bone: int) -> Handles:
     """Handles spread over bones: ``bone_humerus_1``, ``bone_humerus_2``, ... owned by ``bone_humerus``.
 
+    None is where a bone all but meets another one, unless the bone has too few other vertices.
+
     Raises
     ------
     LandmarkError
@@ -70,7 +77,7 @@ def bone_landmarks(anatomy: Anatomy, bones: Sequence[str], *, per_bone: int) -> 
     owners: list[str] = []
     places: list[Points] = []
     for bone in bones:
-        vertices = anatomy[bone].surface.vertices
+        vertices = _away_from_others(anatomy, bone, at_least=per_bone)
         try:
             places.append(vertices[spread_over(vertices, per_bone)])
         except LandmarkError as error:
@@ -78,3 +85,20 @@ def bone_landmarks(anatomy: Anatomy, bones: Sequence[str], *, per_bone: int) -> 
         names += [f"{bone}_{k}" for k in range(1, per_bone + 1)]
         owners += [bone] * per_bone
     return Handles(tuple(names), np.concatenate(places), tuple(owners))
+
+
+def _away_from_others(anatomy: Anatomy, bone: str, *, at_least: int) -> Points:
+    """The vertices of a bone that keep a distance from all other bones; all of them where too few do."""
+    vertices = anatomy[bone].surface.vertices
+    if not len(vertices):
+        return vertices
+    apart = APART_SHARE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    low, high = vertices.min(axis=0) - apart, vertices.max(axis=0) + apart
+    far = np.ones(len(vertices), dtype=bool)
+    for other in anatomy.of_kind(TissueKind.BONE):
+        places = other.surface.vertices
+        if other.name == bone or (places.max(axis=0) < low).any() or (places.min(axis=0) > high).any():
+            continue
+        far[far] = nearest_places(vertices[far], other.surface).distances > apart
+    kept = vertices[far]
+    return kept if len(np.unique(kept, axis=0)) >= at_least else vertices

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -67,3 +68,20 @@ def test_bone_landmarks_are_named_and_owned() -> None:
         bone_landmarks(anatomy, ["bone_a"], per_bone=5)
     with pytest.raises(InputError, match="no tissue is named 'bone_c'"):
         bone_landmarks(anatomy, ["bone_c"], per_bone=2)
+
+
+def test_no_bone_landmark_is_where_two_bones_meet() -> None:
+    lower, upper = (trimesh.creation.box([10.0, 10.0, 40.0]) for _ in range(2))
+    for _ in range(3):
+        lower, upper = lower.subdivide(), upper.subdivide()
+    places = [np.asarray(lower.vertices), np.add(upper.vertices, [0.0, 0.0, 40.1])]
+    tissues = [
+        Tissue(f"bone_{n}", TissueKind.BONE, TriMesh(v, mesh.faces))
+        for n, v, mesh in zip("ab", places, (lower, upper), strict=True)
+    ]
+    anatomy = Anatomy(tuple(tissues), "test")
+    handles = bone_landmarks(anatomy, ["bone_a", "bone_b"], per_bone=20)
+    assert not np.isclose(np.abs(handles.source[:, 2] - 20.05), 0.05).any()
+    # A bone between two others meets them everywhere, and has its landmarks all the same.
+    few = Anatomy((tissues[0], Tissue("bone_c", TissueKind.BONE, TriMesh(places[0] * 1.001, lower.faces))), "test")
+    assert len(bone_landmarks(few, ["bone_a"], per_bone=8).source) == 8

@@ -22,7 +22,7 @@ RELAX = 0.25
 SLIVER, SLIVER_MOVED = 0.1, 0.25
 """Height below which a triangle is a sliver, and how far a place may move for it to go, in clearances."""
 
-SHEETS = 0.2
+SHEETS = 0.1
 """Width, in clearances, that parts of a surface keep from each other, at whatever angle they meet: what is
 closer crosses as soon as it is bent. It is made by moving vertices no farther than ``RELAX``."""
 

@@ -18,7 +18,7 @@ import igl
 import numpy as np
 
 from musclefit.anatomy.choosing import Chooser, Overlap
-from musclefit.anatomy.finishing import SLIVER, SMOOTH, Log, finished, without_contacts, without_thin_walls
+from musclefit.anatomy.finishing import SHEETS, SLIVER, SMOOTH, Log, finished, without_contacts, without_thin_walls
 from musclefit.anatomy.midsurfaces import halves, own_sides
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repair import whole_pieces
@@ -40,7 +40,7 @@ from musclefit.progress import Progress
 
 SPLIT_WORDS = "split: each keeps what it is deeper in"
 
-CUT = 1.0 + SMOOTH + SLIVER + 0.05
+CUT = 1.0 + SMOOTH + SLIVER + SHEETS
 """Distance that is cut around other tissues, in clearances: what tidying may take back of it is added."""
 
 ROUNDS = 6

@@ -23,7 +23,7 @@ MAX_ROUNDS = 16
 MAX_CROSSING_ROUNDS = 24
 """Rounds in which triangles that come to cross each other are halved."""
 
-SHORTEST_SHARE = 0.1
+SHORTEST_SHARE = 0.02
 """Edges shorter than this share of the chord tolerance are not split for that: what crosses there are slivers."""
 
 PATIENCE, MULTIPLIED = 8, 32

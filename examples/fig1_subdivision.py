@@ -18,16 +18,16 @@ from pathlib import Path
 import numpy as np
 
 from musclefit.certify.maps import certify_map
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.march import Pace, march, one_shot
 from musclefit.flow.rules import row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, explicit_step
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import FaceEdges, split_edges
+from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges
 from musclefit.rig.handles import StraightPath
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 
 SIDE_MM = 100.0
 CELLS = 10

@@ -21,16 +21,16 @@ import numpy as np
 
 from musclefit.certify.maps import certify_map
 from musclefit.errors import FieldError
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.march import Pace, march, one_shot
 from musclefit.flow.rules import cayley_fractions, row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step, explicit_step
 from musclefit.geometry.arrays import Float, Points, Tets
+from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.geometry.volumes import signed_volumes
 from musclefit.rig.handles import Path, StraightPath
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose, ring
 
 STATIONS = 5

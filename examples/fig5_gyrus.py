@@ -20,20 +20,20 @@ from skimage.measure import marching_cubes
 
 from musclefit.certify.maps import certify_map
 from musclefit.fields.ffd import Lattice
-from musclefit.fields.ffd_fit import FfdBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.ffd import FfdBackend
+from musclefit.fields.radial import RadialBackend
+from musclefit.flow.control_lattice import march_lattice
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.lattice import march_lattice
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, explicit_step
 from musclefit.flow.steps import ExplicitStep
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.crossings import self_crossings
-from musclefit.geometry.images import Grid
+from musclefit.geometry.images.grids import Grid
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.rig.handles import StraightPath
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.rig.spread import spread_over
 
 PULL_MM = 22.0 * np.array([0.0, 1.0, 0.3]) / np.linalg.norm([0.0, 1.0, 0.3])

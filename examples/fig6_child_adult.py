@@ -23,21 +23,21 @@ from igl import point_mesh_squared_distance
 from numpy.typing import NDArray
 
 from musclefit.certify.maps import certify_map
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
 from musclefit.fields.protocol import Backend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, explicit_step
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.images import Frame, Grid
+from musclefit.geometry.images.grids import Frame, Grid
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io.surfaces import read_surface
-from musclefit.io.volumes import read_volume, write_volume
+from musclefit.io.anatomy import read_surface
+from musclefit.io.formats.nifti import read_volume, write_volume
 from musclefit.pipeline.images import jacobian_map
 from musclefit.rig.handles import StraightPath
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 
 BACKENDS: dict[str, Backend] = {"RBF r^2 log r": RadialBackend("r2logr"), "FFD 20 mm": FfdBackend(20.0)}
 

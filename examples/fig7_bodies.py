@@ -26,17 +26,17 @@ from musclefit.figures.camera import View
 from musclefit.figures.colours import tissue_colours
 from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshot, tissue_panels
 from musclefit.flow.deformation import Deformation
+from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.solids import ROUNDING_MM3, outside_mesh, overlap_mesh
-from musclefit.geometry.volumes import signed_volumes
-from musclefit.geometry.winding import winding_numbers
+from musclefit.geometry.queries.solids import ROUNDING_MM3, outside_mesh, overlap_mesh
+from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform, deform_in_one_shot
 from musclefit.pipeline.retarget import STEP_KINDS
 from musclefit.progress import Silent
 from musclefit.rig.job import Job
-from musclefit.rig.model import DeformerSettings, Kernel, StepKind
+from musclefit.rig.settings import DeformerSettings, Kernel, StepKind
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 
 KERNELS = {"heavy": Kernel.R, "very_heavy": Kernel.R3}

@@ -23,8 +23,6 @@ from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.figures.films import motion_pictures
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
-from musclefit.io.sequence_outputs import write_outputs
-from musclefit.io.sequences import planned, read_frames, run_sequence
 from musclefit.pipeline.deformers import deform_in_one_shot
 from musclefit.pipeline.retarget import retarget
 from musclefit.pipeline.sequence import posed_job
@@ -32,6 +30,8 @@ from musclefit.report.model import Side
 from musclefit.report.sequence import SequenceReport
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
+from musclefit.workflows.sequence import planned, read_frames, run_sequence
+from musclefit.workflows.sequence_outputs import write_outputs
 
 PAPER = (
     "bones.rigid=false",

@@ -17,12 +17,12 @@ from musclefit.certify.maps import certify_map
 from musclefit.fields.protocol import Field
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.steps import CayleyStep
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Silent
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.validate.overlaps import check_overlaps, solid_anatomy
 
 CAYLEY = ("deformer.step=cayley", "deformer.path=joints")

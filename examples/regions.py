@@ -20,10 +20,10 @@ from pathlib import Path
 
 from musclefit.cli.commands import main as musclefit
 from musclefit.geometry.fitting import CylinderFit
-from musclefit.io.surfaces import read_surface
+from musclefit.io.anatomy import read_surface
 from musclefit.rig.articulation import fitted_joint
 from musclefit.rig.joint_kinds import JointKind
-from musclefit.rig.model import Unit
+from musclefit.rig.settings import Unit
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,32 +1,31 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it."""
 
 from importlib import import_module as _import_module
-from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
+
+from musclefit._version import __version__
 
 if TYPE_CHECKING:
     from musclefit.anatomy.builtin import upper_limb
-    from musclefit.anatomy.layers import LayerRules
+    from musclefit.anatomy.mesh_rules import LayerRules
     from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
     from musclefit.geometry.meshes import TetMesh, TriMesh
     from musclefit.geometry.rigid import RigidMotion
-    from musclefit.io.ftetwild import tetrahedralise
-    from musclefit.io.landmarks import read_landmarks
-    from musclefit.io.motions import read_motion
+    from musclefit.io.anatomy import read_anatomy
+    from musclefit.io.formats.landmarks import read_landmarks
+    from musclefit.io.formats.motions import read_motion
     from musclefit.io.rigs import find_rig, read_rig
-    from musclefit.io.runs import prepared_tets, save
-    from musclefit.io.sequences import planned, read_frames, run_sequence
-    from musclefit.io.surfaces import read_anatomy
+    from musclefit.meshing.ftetwild import tetrahedralise
     from musclefit.pipeline.inspect import inspect
     from musclefit.pipeline.retarget import retarget
     from musclefit.rig.handles import Handles, StraightPath
-
-__version__ = _version("musclefit")
+    from musclefit.workflows.run import prepared_tets, save
+    from musclefit.workflows.sequence import planned, read_frames, run_sequence
 
 _HOMES = {
     "Anatomy": "anatomy.model",
     "Handles": "rig.handles",
-    "LayerRules": "anatomy.layers",
+    "LayerRules": "anatomy.mesh_rules",
     "RigidMotion": "geometry.rigid",
     "StraightPath": "rig.handles",
     "TetMesh": "geometry.meshes",
@@ -35,17 +34,17 @@ _HOMES = {
     "TriMesh": "geometry.meshes",
     "find_rig": "io.rigs",
     "inspect": "pipeline.inspect",
-    "prepared_tets": "io.runs",
-    "read_anatomy": "io.surfaces",
-    "planned": "io.sequences",
-    "read_frames": "io.sequences",
-    "read_landmarks": "io.landmarks",
-    "read_motion": "io.motions",
+    "prepared_tets": "workflows.run",
+    "read_anatomy": "io.anatomy",
+    "planned": "workflows.sequence",
+    "read_frames": "workflows.sequence",
+    "read_landmarks": "io.formats.landmarks",
+    "read_motion": "io.formats.motions",
     "read_rig": "io.rigs",
     "retarget": "pipeline.retarget",
-    "run_sequence": "io.sequences",
-    "save": "io.runs",
-    "tetrahedralise": "io.ftetwild",
+    "run_sequence": "workflows.sequence",
+    "save": "workflows.run",
+    "tetrahedralise": "meshing.ftetwild",
     "upper_limb": "anatomy.builtin",
 }
 

@@ -14,7 +14,7 @@ from musclefit.certify.maps import certify_map
 from musclefit.certify.model import MapCertificate
 from musclefit.fields.protocol import Field
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.validate.model import MapClaim
 
 E, C = StepKind.EXPLICIT, StepKind.CAYLEY

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io.outputs import ply_bytes
+from musclefit.io.run_folder import ply_bytes
 
 LANDMARKS = 12
 BEND_DEG = 25.0

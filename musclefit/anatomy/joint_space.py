@@ -14,10 +14,10 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.geometry.arrays import Bool, Float, Points, Tets
-from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
+from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.volumes import signed_volumes
 
 
 @dataclass(frozen=True, slots=True)

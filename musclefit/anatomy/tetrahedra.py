@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.fits import (
+from musclefit.anatomy.mesh_fidelity import (
     TissueFit,
     fit_findings,
     joined,
@@ -20,16 +20,16 @@ from musclefit.anatomy.fits import (
     pieces_of_tets,
     surface_distances,
 )
-from musclefit.anatomy.layers import FILLER, LayerRules, diagonal_mm
+from musclefit.anatomy.mesh_rules import FILLER, LayerRules, diagonal_mm
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points, Tets, frozen
+from musclefit.geometry.measures import enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TetMesh
-from musclefit.geometry.orientation import orientations
-from musclefit.geometry.sizing import SizingField
-from musclefit.geometry.tet_topology import TetFaces, tet_faces
-from musclefit.geometry.volumes import enclosed_volume, signed_volumes
-from musclefit.geometry.winding import winding_numbers
+from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.tets.orientation import orientations
+from musclefit.geometry.tets.sizing import SizingField
+from musclefit.geometry.tets.topology import TetFaces, tet_faces
 from musclefit.progress import Progress, Tick
 
 NO_SKIN = "no-skin"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from musclefit.certify.covers import (
+from musclefit.certify.ball_covers import (
     Cover,
     cayley_image,
     cayley_midpoints,
@@ -18,7 +18,7 @@ from musclefit.certify.covers import (
 from musclefit.certify.model import Fold
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 
 StepOf = tuple[StepKind, Field]
 """A step as certification takes it."""

@@ -33,26 +33,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from musclefit.certify.boxes import BoxProof, prove
-from musclefit.certify.covers import (
+from musclefit.certify.ball_covers import (
     Cover,
     Midpoints,
     cayley_image,
     cayley_midpoints,
     explicit_image,
 )
+from musclefit.certify.body_shells import Patches, box_shell, skin_shell
+from musclefit.certify.boxes import BoxProof, prove
 from musclefit.certify.domains import Hull
 from musclefit.certify.folds import Inside, find_fold
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
-from musclefit.certify.shells import Patches, box_shell, skin_shell
 from musclefit.certify.strain import Condition
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.winding import winding_numbers
+from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.progress import CERTIFY, Progress, Silent, Tick
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.validate.model import MapClaim
 
 MAX_BOXES = 400_000

@@ -20,11 +20,11 @@ import numpy as np
 
 from musclefit.certify.model import MeshCertificate
 from musclefit.geometry.arrays import Int
-from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.geometry.orientation import orientations
-from musclefit.geometry.sheets import UNKNOWN, sheets_of
-from musclefit.geometry.tet_topology import TetFaces, tet_faces
+from musclefit.geometry.queries.sheet_winding import UNKNOWN, sheets_of
+from musclefit.geometry.surfaces.crossings import self_crossings
+from musclefit.geometry.tets.orientation import orientations
+from musclefit.geometry.tets.topology import TetFaces, tet_faces
 from musclefit.validate.model import MeshClaim
 
 

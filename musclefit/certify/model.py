@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from musclefit.geometry.arrays import Int, Points
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.validate.model import MapClaim, MeshClaim
 
 Place = tuple[float, ...]

@@ -10,7 +10,7 @@ import numpy as np
 from musclefit.compiling import njit
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Points, Tets
-from musclefit.geometry.orientation import integers, triple_products
+from musclefit.geometry.tets.orientation import integers, triple_products
 
 DEPTH = 40
 """Halvings of the motion: the answer is within 2^-40 of the largest fraction that Bernstein's criterion proves."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Float, Gradients, Points
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 
 
 @runtime_checkable

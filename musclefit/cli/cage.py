@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from musclefit.errors import InputError
-from musclefit.rig.model import Unit
+from musclefit.rig.settings import Unit
 
 PASSED = 0
 
@@ -30,14 +30,14 @@ def cage(
     """Make a cage that follows a skin: even triangles, none of which cross. Move its vertices, and it drives a body."""
     import numpy as np
 
-    from musclefit.anatomy.intake import take_in
+    from musclefit.anatomy.cleaning import take_in
     from musclefit.anatomy.model import TissueKind
-    from musclefit.geometry.cages import cage_of
-    from musclefit.geometry.distances import nearest_places
-    from musclefit.geometry.topology import edges_of
-    from musclefit.geometry.volumes import enclosed_volume
-    from musclefit.io.outputs import ply_bytes
-    from musclefit.io.surfaces import read_surface
+    from musclefit.geometry.measures import enclosed_volume
+    from musclefit.geometry.queries.distances import nearest_places
+    from musclefit.geometry.surfaces.cages import cage_of
+    from musclefit.geometry.surfaces.topology import edges_of
+    from musclefit.io.anatomy import read_surface
+    from musclefit.io.run_folder import ply_bytes
 
     if out.suffix.lower() != ".ply":
         raise InputError(f"{out}: cages are written as PLY; name a file that ends in .ply")

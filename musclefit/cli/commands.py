@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
 
-import musclefit
+from musclefit._version import __version__
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
@@ -28,7 +28,7 @@ from musclefit.cli.sequence import sequence
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
-from musclefit.rig.model import BackendKind, Unit
+from musclefit.rig.settings import BackendKind, Unit
 
 # The commands import what reads and computes when they need it, so that slips are told at once.
 
@@ -42,7 +42,7 @@ TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks", "averaged-frames", "point
 app = App(
     name="musclefit",
     help="Foldover-free retargeting of layered musculoskeletal models, with a report that proves it.",
-    version=musclefit.__version__,
+    version=__version__,
     help_epilogue="Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written.",
     default_parameter=Parameter(negative=(), show_default=False),
     usage="Usage: musclefit COMMAND [OPTIONS]",
@@ -166,8 +166,8 @@ def check(
     json: Json = False,
 ) -> int:
     """Report the overlaps and mesh faults of a layered anatomy as it is."""
-    from musclefit.io.outputs import check_writable, write_inspection
-    from musclefit.io.surfaces import read_anatomy
+    from musclefit.io.anatomy import read_anatomy
+    from musclefit.io.run_folder import check_writable, write_inspection
 
     if out is not None:
         check_writable(out)
@@ -246,8 +246,8 @@ def _run(
     quiet: bool,
     json: bool,
 ) -> int:
-    from musclefit.io.outputs import check_writable
     from musclefit.io.rigs import read_rig
+    from musclefit.io.run_folder import check_writable
 
     check_writable(out)
     with TimedStages(shown=not quiet) as stages:
@@ -255,9 +255,9 @@ def _run(
         for finding in job.findings:
             if finding.code in TOLD_BEFORE:
                 stages.say(finding.message)
-        from musclefit.io.runs import planned_tets, prepared_tets, save
-        from musclefit.io.tet_cache import CACHE_FINDING
+        from musclefit.meshing.cache import CACHE_FINDING
         from musclefit.pipeline.retarget import retarget
+        from musclefit.workflows.run import planned_tets, prepared_tets, save
 
         plan = planned_tets(job)
         if plan is not None:
@@ -284,7 +284,7 @@ def _with_tets(overrides: Sequence[str], tets: bool | None) -> tuple[str, ...]:
 
 def _written(folder: Path) -> Any:
     """The report as it was written, with the files beside it."""
-    from musclefit.io.outputs import REPORT_JSON
+    from musclefit.io.run_folder import REPORT_JSON
 
     return json_text.loads((folder / REPORT_JSON).read_text(encoding="utf-8"))
 

@@ -25,8 +25,8 @@ def export(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
 ) -> int:
     """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm."""
+    from musclefit.io.formats.solvers import PLACEHOLDER, check_solver_path, write_solver_file
     from musclefit.io.run_tets import read_run_tets
-    from musclefit.io.solver_files import PLACEHOLDER, check_solver_path, write_solver_file
 
     check_solver_path(out)
     tets = read_run_tets(run, shape=shape)

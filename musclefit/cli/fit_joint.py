@@ -27,10 +27,10 @@ def fit_joint(
 ) -> int:
     """Print a joint for a table of joints, fitted where two bones face each other, with what the fit leaves over."""
     from musclefit.geometry.fitting import CylinderFit
-    from musclefit.io.surfaces import read_surface
+    from musclefit.io.anatomy import read_surface
     from musclefit.rig.articulation import fitted_joint
     from musclefit.rig.joint_kinds import JointKind
-    from musclefit.rig.model import Unit
+    from musclefit.rig.settings import Unit
 
     surfaces = [read_surface(path, units=Unit(units)).mesh() for path in (fixed, moving)]
     fits = fitted_joint(surfaces[0], surfaces[1], kind=JointKind(kind), within_mm=within_mm)

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from musclefit.cli.progress import TimedStages
 from musclefit.errors import InputError
-from musclefit.geometry.images import Frame
+from musclefit.geometry.images.grids import Frame
 
 PASSED = 0
 
@@ -25,7 +25,7 @@ def label_surfaces(
 ) -> int:
     """Make the closed, layered surfaces of a segmentation, which a rig reads as its anatomy."""
     from musclefit.io.label_maps import read_label_anatomy
-    from musclefit.io.outputs import file_names, ply_bytes
+    from musclefit.io.run_folder import file_names, ply_bytes
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(

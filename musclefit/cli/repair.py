@@ -15,11 +15,11 @@ from rich.text import Text
 
 from musclefit.cli.progress import TimedStages
 from musclefit.errors import InputError
-from musclefit.rig.model import Unit
+from musclefit.rig.settings import Unit
 
 if TYPE_CHECKING:
-    from musclefit.anatomy.repairs import Repaired
-    from musclefit.anatomy.resolutions import Resolved
+    from musclefit.anatomy.repair.records import Repaired
+    from musclefit.anatomy.repair.resolutions import Resolved
     from musclefit.report.repairs import RepairReport
 
 PASSED, FAILED = 0, 1
@@ -103,8 +103,8 @@ def repair(
     Exit code 1 where a surface is not valid, farther from the original than the limit, changed too much in volume or
     fell apart, or where overlaps are left; all is written then too.
     """
-    from musclefit.anatomy.repairs import RepairSettings
-    from musclefit.anatomy.resolutions import Choice, Rule
+    from musclefit.anatomy.repair.records import RepairSettings
+    from musclefit.anatomy.repair.resolutions import Choice, Rule
     from musclefit.cli.kinds import parse_kinds
     from musclefit.io.provenance import measured
     from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repair

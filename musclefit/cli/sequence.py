@@ -56,8 +56,8 @@ def sequence(
 ) -> int:
     """Follow a motion: every frame from rest, checked; muscle measures, series, film and report."""
     from musclefit.io.rigs import read_rig
-    from musclefit.io.sequence_outputs import write_outputs
-    from musclefit.io.sequences import planned, run_sequence
+    from musclefit.workflows.sequence import planned, run_sequence
+    from musclefit.workflows.sequence_outputs import write_outputs
 
     path = find_rig(rig)
     folder = out if out is not None else Path("musclefit-out") / path.stem

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from musclefit.cli.progress import TimedStages
 from musclefit.errors import InputError
-from musclefit.geometry.images import Frame, Interpolation
+from musclefit.geometry.images.grids import Frame, Interpolation
 
 PASSED = 0
 
@@ -49,9 +49,9 @@ def warp_image(
     """Take an image of the body along with a rig's deformation, through its exact inverse."""
     import numpy as np
 
+    from musclefit.io.formats.nifti import check_images_writable, read_volume, write_displacements, write_volume
     from musclefit.io.rig_names import find_rig
     from musclefit.io.rigs import read_rig
-    from musclefit.io.volumes import check_images_writable, read_volume, write_displacements, write_volume
     from musclefit.pipeline.deformers import deform
     from musclefit.pipeline.images import jacobian_map
     from musclefit.pipeline.images import warp_image as warped_image

@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from musclefit.fields import enclosures
-from musclefit.fields.ceilings import GRADIENT, STRAIN
-from musclefit.fields.rbf import RadialField
+from musclefit.fields.enclosures import radial as enclosures
+from musclefit.fields.enclosures.cell_bounds import GRADIENT, STRAIN
+from musclefit.fields.radial import RadialField
 from musclefit.fields.solenoidal import SolenoidalField
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
 

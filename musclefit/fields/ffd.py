@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 
 from musclefit.errors import FieldError
-from musclefit.fields import bsplines
-from musclefit.fields.ffd_bounds import box_bounds
+from musclefit.fields.enclosures.ffd import box_bounds
+from musclefit.fields.evaluation import bsplines
 from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
 SUBDIVISION = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 8.0

@@ -15,8 +15,8 @@ import numpy as np
 
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
-from musclefit.fields.rbf import TRACELESS, RadialField
-from musclefit.fields.solenoidal_fit import SolenoidalBackend
+from musclefit.fields.fitting.solenoidal import SolenoidalBackend
+from musclefit.fields.radial import TRACELESS, RadialField
 from musclefit.geometry.arrays import Float, Points
 
 SMOOTHNESS = 2.5

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
-from musclefit.fields import bricks, enclosures
-from musclefit.fields.jets import Jets
+from musclefit.fields.enclosures import radial as enclosures
+from musclefit.fields.enclosures.jets import Jets
+from musclefit.fields.evaluation import bricks
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
@@ -58,8 +59,8 @@ class QuicklyBounded(Protocol):
 class Nearness:
     """Distance from a bone, made smooth: a sum of quadratic B-splines on a lattice in bricks.
 
-    See `musclefit.fields.bricks`. It runs from ``-depth_mm`` deep within the bone to ``reach_mm`` far from it, and is
-    no more than ``surface_mm`` at any place of the bone's surface.
+    See `musclefit.fields.evaluation.bricks`. It runs from ``-depth_mm`` deep within the bone to ``reach_mm`` far from
+    it, and is no more than ``surface_mm`` at any place of the bone's surface.
 
     Parameters
     ----------

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
-from musclefit.fields import potentials, solenoidal_bounds
-from musclefit.fields.ceilings import BEND, GRADIENT, KINDS, STRAIN, Ceilings
+from musclefit.fields.enclosures import solenoidal as solenoidal_bounds
+from musclefit.fields.enclosures.cell_bounds import BEND, GRADIENT, KINDS, STRAIN, Ceilings
+from musclefit.fields.evaluation import potentials
 from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
 MAX_LATTICE_POINTS = 400_000_000

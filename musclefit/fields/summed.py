@@ -7,7 +7,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from musclefit.fields import enclosures
+from musclefit.fields.enclosures import radial as enclosures
 from musclefit.fields.ffd import FfdField
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points

@@ -13,19 +13,19 @@ from scipy.spatial.transform import Rotation
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
+from musclefit.fields.fitting.solenoidal import SolenoidalBackend
 from musclefit.fields.locked import LockedField
-from musclefit.fields.rbf import RadialField
+from musclefit.fields.radial import RadialField
 from musclefit.fields.solenoidal import SolenoidalField
-from musclefit.fields.solenoidal_fit import SolenoidalBackend
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.locks import BoneLocks, Stand, trial_without_locks
 from musclefit.flow.steppers import HandleStepper, StepMaker
 from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Bool, Float, Points
-from musclefit.geometry.distances import nearest_places, smooth_normals
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import nearest_places, smooth_normals
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
+from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.rig.handles import BoneMotions
 
 CONTACT_REACH = 2.0

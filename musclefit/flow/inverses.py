@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from musclefit.errors import NotConvergedError
-from musclefit.fields import bsplines
+from musclefit.fields.evaluation import bsplines
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.steps import ExplicitStep
 from musclefit.geometry.arrays import Bool, Float, Points

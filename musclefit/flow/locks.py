@@ -14,17 +14,17 @@ import numpy as np
 
 from musclefit.compiling import njit
 from musclefit.errors import FieldError
-from musclefit.fields import bricks as sums
-from musclefit.fields.bricks import ACROSS, NOTHING, ONE, SIDE, WHOLE
+from musclefit.fields.evaluation import bricks as sums
+from musclefit.fields.evaluation.bricks import ACROSS, NOTHING, ONE, SIDE, WHOLE
 from musclefit.fields.locked import Fade, Lock, LockedField, Nearness
 from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Float, Points
-from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.solids import pieces
+from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.solids import pieces
-from musclefit.geometry.surface_samples import surface_samples
-from musclefit.geometry.winding import winding_numbers
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.progress import Progress, Silent
 
 SAMPLED = 0.4

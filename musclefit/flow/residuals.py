@@ -10,8 +10,8 @@ import numpy as np
 from musclefit.flow.bones import RigidGroup
 from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Float
+from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.volumes import area_vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from musclefit.geometry.arrays import Int
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.geometry.tet_topology import tet_faces
+from musclefit.geometry.tets.topology import tet_faces
 
 
 def surface_of_tets(mesh: TetMesh, part: Int) -> TriMesh:

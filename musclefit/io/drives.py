@@ -13,12 +13,12 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io.landmarks import LandmarkTable, paired, positions_of, read_landmarks
-from musclefit.io.lattices import read_displacements
+from musclefit.io.anatomy import read_surface
+from musclefit.io.formats.control_points import read_displacements
+from musclefit.io.formats.landmarks import LandmarkTable, paired, positions_of, read_landmarks
+from musclefit.io.formats.tables import parse_table
+from musclefit.io.formats.transforms import parse_transforms
 from musclefit.io.named_files import NamedFiles
-from musclefit.io.surfaces import read_surface
-from musclefit.io.tables import parse_table
-from musclefit.io.transforms import parse_transforms
 from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
 from musclefit.rig.carried import carriers
 from musclefit.rig.chain import ChainMotions, carriers_of
@@ -26,7 +26,8 @@ from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.job import cage_crossings, cage_handles, check_owners
 from musclefit.rig.joints import JointSystem, parse_joints
 from musclefit.rig.lattice import ControlLattice
-from musclefit.rig.model import (
+from musclefit.rig.paths import ScrewMotions, motions_of, skeleton_of
+from musclefit.rig.settings import (
     CageCrossings,
     CageDrive,
     JointDrive,
@@ -38,7 +39,6 @@ from musclefit.rig.model import (
     TransformDrive,
     Unit,
 )
-from musclefit.rig.paths import ScrewMotions, motions_of, skeleton_of
 from musclefit.rig.skeleton import SkeletonPath
 from musclefit.rig.transforms import BoneTransforms
 

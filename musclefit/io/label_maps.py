@@ -6,12 +6,12 @@ import csv
 from io import StringIO
 from pathlib import Path
 
-from musclefit.anatomy.labels import LabelName, label_anatomy
+from musclefit.anatomy.label_surfaces import LabelName, label_anatomy
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
-from musclefit.geometry.images import Frame
-from musclefit.io.surfaces import ReadAnatomy
-from musclefit.io.volumes import read_volume
+from musclefit.geometry.images.grids import Frame
+from musclefit.io.anatomy import ReadAnatomy
+from musclefit.io.formats.nifti import read_volume
 from musclefit.progress import Progress
 
 COLUMNS = ("value", "name", "kind")
@@ -65,7 +65,8 @@ def read_label_anatomy(image: Path, names: Path, *, frame: Frame, progress: Prog
     Raises
     ------
     InputError, MeshError
-        See `read_label_names`, `musclefit.io.volumes.read_volume` and `musclefit.anatomy.labels.label_anatomy`.
+        See `read_label_names`, `musclefit.io.formats.nifti.read_volume` and
+        `musclefit.anatomy.label_surfaces.label_anatomy`.
     """
     volume = read_volume(image)
     anatomy, findings = label_anatomy(

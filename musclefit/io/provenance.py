@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-import musclefit
+from musclefit._version import __version__
 
 LIBRARIES = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pytetwild", "pyvista", "vtk", "libigl")
 
 
 def versions() -> dict[str, str]:
     """Versions of musclefit, Python and the libraries that made the numbers."""
-    found = {"musclefit": musclefit.__version__, "python": platform.python_version()}
+    found = {"musclefit": __version__, "python": platform.python_version()}
     for library in LIBRARIES:
         try:
             found[library] = version(library)

@@ -11,16 +11,16 @@ from pathlib import Path
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import TissueKind
-from musclefit.anatomy.repairs import Way
+from musclefit.anatomy.repair.records import Way
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, Tets
-from musclefit.io.ftetwild import fill
-from musclefit.io.outputs import check_writable, file_names, ply_bytes, write_surfaces
-from musclefit.io.surfaces import is_repair_report, kind_of, read_surface, surface_files
+from musclefit.io.anatomy import is_repair_report, kind_of, read_surface, surface_files
+from musclefit.io.run_folder import check_writable, file_names, ply_bytes, write_surfaces
+from musclefit.meshing.ftetwild import fill
 from musclefit.pipeline.repair import RawTissue, RepairResult
 from musclefit.progress import Progress
 from musclefit.report.repairs import repair_json
-from musclefit.rig.model import Unit
+from musclefit.rig.settings import Unit
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import musclefit
 from musclefit.errors import RigError
-from musclefit.rig.section import suggestion
+from musclefit.rig.table_reader import suggestion
 
 
 def builtin_rigs() -> tuple[str, ...]:
@@ -29,7 +28,7 @@ def builtin_rig_path(name: str) -> Path:
 
 def _rigs_folder() -> Path:
     """The folder of the built-in rigs: inside the installed package, or beside it in a checkout."""
-    package = Path(musclefit.__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     packed = package / "rigs"
     return packed if packed.is_dir() else package.parent / "rigs"
 

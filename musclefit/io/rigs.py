@@ -11,6 +11,7 @@ from pathlib import Path
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, RigError
+from musclefit.io.anatomy import read_anatomy
 from musclefit.io.drives import (
     Driver,
     OnBones,
@@ -21,11 +22,10 @@ from musclefit.io.drives import (
     on_anatomy,
     read_driver,
 )
+from musclefit.io.formats.points import outside_findings, read_points
+from musclefit.io.formats.tables import parse_toml
 from musclefit.io.named_files import NamedFiles
-from musclefit.io.point_files import outside_findings, read_points
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
-from musclefit.io.surfaces import read_anatomy
-from musclefit.io.tables import parse_toml
 from musclefit.progress import Progress, Silent
 from musclefit.rig.chain import ChainMotions, chain_findings
 from musclefit.rig.handles import Handles
@@ -39,7 +39,8 @@ from musclefit.rig.job import (
     path_by_pairs,
     require_bones,
 )
-from musclefit.rig.model import (
+from musclefit.rig.rig_table import apply_overrides, parse_rig
+from musclefit.rig.settings import (
     CageDrive,
     Drive,
     JointDrive,
@@ -50,9 +51,8 @@ from musclefit.rig.model import (
     SkeletonDrive,
     TransformDrive,
 )
-from musclefit.rig.section import suggestion
 from musclefit.rig.spread import bone_landmarks
-from musclefit.rig.table import apply_overrides, parse_rig
+from musclefit.rig.table_reader import suggestion
 from musclefit.rig.transforms import still_findings
 
 __all__ = ["builtin_rig_path", "builtin_rigs", "find_rig", "read_rig"]
@@ -78,7 +78,7 @@ def read_rig(
         ``${MUSCLEFIT_DATA}`` stands for that environment variable, or where it is not set for ``../../shared/data``
         from the rig's folder.
     overrides : sequence of str
-        ``key=value`` each; see `musclefit.rig.table.apply_overrides`.
+        ``key=value`` each; see `musclefit.rig.rig_table.apply_overrides`.
     points : sequence of path
         Further files of points to take along, beside those of the rig; they start at the current folder.
     progress : Progress

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from musclefit.errors import InputError
-from musclefit.io.solver_files import LabelledTets
+from musclefit.io.formats.solvers import LabelledTets
 
 
 class Shape(StrEnum):
@@ -29,7 +29,7 @@ def read_run_tets(folder: Path, *, shape: Shape) -> LabelledTets:
     """
     import pyvista as pv
 
-    from musclefit.io.outputs import REPORT_JSON, TETS
+    from musclefit.io.run_folder import REPORT_JSON, TETS
 
     report, grid_file = folder / REPORT_JSON, folder / TETS
     if not report.is_file():

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-import musclefit
+from musclefit._version import __version__
 from musclefit.anatomy.model import Anatomy
 from musclefit.geometry.arrays import Points
-from musclefit.io.series import posed_surfaces
+from musclefit.io.formats.vtk_series import posed_surfaces
 from musclefit.pipeline.retarget import settings_of
 from musclefit.pipeline.sequence import Frame, at_rest, posed_job
 from musclefit.report.schema import side_to_json
@@ -46,7 +46,7 @@ def frame_key(job: Job, pose: Pose) -> str:
     """What a frame depends on, as a hash: every setting, every input file, the pose, the version; no other frame."""
     posed = posed_job(job, pose)
     told = {
-        "version": musclefit.__version__,
+        "version": __version__,
         "settings": settings_of(posed),
         "inputs": dict(job.hashes),
         "time_s": pose.time_s,

@@ -10,19 +10,19 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import MusclefitError
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.surfaces import MAX_ROUNDS, bent_edges, split_bent
+from musclefit.flow.surface_refinement import MAX_ROUNDS, bent_edges, split_bent
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.solids import ROUNDING_MM3
-from musclefit.geometry.subdivision import FaceEdges, with_short_edges
-from musclefit.pipeline.choices import surface_choices
+from musclefit.geometry.queries.solids import ROUNDING_MM3
+from musclefit.geometry.surfaces.subdivision import FaceEdges, with_short_edges
+from musclefit.pipeline.chosen_settings import surface_choices
 from musclefit.pipeline.poses import collision_in_words, collision_on_the_way
 from musclefit.pipeline.refining import deform_finely
 from musclefit.pipeline.retarget import motions_of_held_bones
 from musclefit.pipeline.sequence import Stage, posed_job
 from musclefit.progress import Silent
 from musclefit.rig.motion import Pose
-from musclefit.validate.closer import Look, MeetingKind, Names, Posed, Refined, looked_at, told_by_frames
-from musclefit.validate.passing import Passage, check_passages
+from musclefit.validate.between_frames import Passage, check_passages
+from musclefit.validate.close_meetings import Look, MeetingKind, Names, Posed, Refined, looked_at, told_by_frames
 from musclefit.validate.tissues import Motion
 
 MAX_POSES = 7

@@ -12,29 +12,29 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.fields.ffd import Lattice
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.bones import BoneStepper, RigidGroup, rigid_groups
+from musclefit.flow.control_lattice import march_lattice
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import KeptBone, LockedBoneStepper, keeping_bones, kept_bones, kept_samples
-from musclefit.flow.lattice import march_lattice
+from musclefit.flow.kept_bones import KeptBone, LockedBoneStepper, keeping_bones, kept_bones, kept_samples
 from musclefit.flow.locks import BoneLocks, LockSettings
 from musclefit.flow.march import Marching, Pace, one_shot, points_beside
 from musclefit.flow.rules import rule_for
 from musclefit.flow.steppers import HandleStep, HandleStepper, cayley_step, explicit_step
 from musclefit.flow.steps import ExplicitStep
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.distances import thinned
 from musclefit.geometry.meshes import TriMesh
-from musclefit.pipeline.choices import bone_choices
-from musclefit.pipeline.kept_choices import bone_limits, kept_choices
+from musclefit.geometry.queries.distances import thinned
+from musclefit.pipeline.chosen_settings import bone_choices
+from musclefit.pipeline.kept_bones import bone_limits, kept_choices
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
-from musclefit.rig.model import (
+from musclefit.rig.settings import (
     BackendKind,
     DeformerSettings,
     JointDrive,

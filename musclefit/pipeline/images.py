@@ -20,8 +20,8 @@ from musclefit.errors import InputError
 from musclefit.flow.deformation import Deformation
 from musclefit.flow.inverses import Guess, Origins, origins, origins_near
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.images import Frame, Grid, Interpolation, in_frame
-from musclefit.geometry.sampling import prefiltered, sample
+from musclefit.geometry.images.grids import Frame, Grid, Interpolation, in_frame
+from musclefit.geometry.images.sampling import prefiltered, sample
 from musclefit.progress import Progress, Silent, Tick
 
 TOLERANCE_MM = 1e-6

@@ -10,7 +10,7 @@ import numpy as np
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.geometry.arrays import Gradients, Points
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import MeshReport, TissueSummary
 from musclefit.validate.overlaps import check_outside_skin, rest_overlaps, solid_anatomy

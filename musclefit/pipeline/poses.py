@@ -12,8 +12,8 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job
 from musclefit.rig.joints import JointMotions
-from musclefit.rig.model import JointDrive
 from musclefit.rig.paths import KeyframeMotions
+from musclefit.rig.settings import JointDrive
 from musclefit.validate.bones import (
     BoneCollision,
     RigidBones,

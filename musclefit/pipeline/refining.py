@@ -13,20 +13,20 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import NotConvergedError
 from musclefit.flow.bones import RigidGroup
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import KeptBone
-from musclefit.flow.riding import MAX_RETURNS, Riders, riders_of
+from musclefit.flow.kept_bones import KeptBone
 from musclefit.flow.rules import cayley_fractions
-from musclefit.flow.surfaces import Carried, CutAnatomy, carried_finely, cut_at_rest, finely_carried
+from musclefit.flow.surface_refinement import Carried, CutAnatomy, carried_finely, cut_at_rest, finely_carried
+from musclefit.flow.tracked_points import MAX_RETURNS, Riders, riders_of
 from musclefit.geometry.arrays import Float, Gradients, Points
-from musclefit.geometry.grading import EdgeLengths
-from musclefit.geometry.surface_samples import EDGES_PER_SPACING, surface_samples
-from musclefit.geometry.volumes import area_vectors
-from musclefit.pipeline.choices import surface_choices
+from musclefit.geometry.measures import area_vectors
+from musclefit.geometry.surfaces.edge_lengths import EdgeLengths
+from musclefit.geometry.surfaces.samples import EDGES_PER_SPACING, surface_samples
+from musclefit.pipeline.chosen_settings import surface_choices
 from musclefit.pipeline.deformers import Deformed, keep_bones, locked_march_of, locks_kept, march_of
-from musclefit.pipeline.kept_choices import bone_limits
+from musclefit.pipeline.kept_bones import bone_limits
 from musclefit.progress import Progress
 from musclefit.rig.job import Job
-from musclefit.rig.model import StepKind, TestedAt
+from musclefit.rig.settings import StepKind, TestedAt
 
 FEWEST_SAMPLES = 50_000
 """Surfaces are sampled as closely as the rig's longest edge says, but with no more samples than about this many, or

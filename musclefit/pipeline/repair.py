@@ -9,14 +9,14 @@ import numpy as np
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
-from musclefit.anatomy.repair import repair_surface
-from musclefit.anatomy.repairs import RepairSettings
-from musclefit.anatomy.resolutions import Choice, Rule
-from musclefit.anatomy.resolving import resolved
+from musclefit.anatomy.repair.overlaps import resolved
+from musclefit.anatomy.repair.records import RepairSettings
+from musclefit.anatomy.repair.resolutions import Choice, Rule
+from musclefit.anatomy.repair.surface import repair_surface
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.resurfacing import Fill
+from musclefit.geometry.surfaces.resurfacing import Fill
 from musclefit.progress import Progress, Silent
 from musclefit.report.repairs import RepairReport
 from musclefit.validate.overlaps import rest_overlaps

@@ -16,17 +16,17 @@ from musclefit.certify.maps import certify_map
 from musclefit.errors import MeshError
 from musclefit.flow.bones import contact_residuals
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import KeptBone, kept_residuals
+from musclefit.flow.kept_bones import KeptBone, kept_residuals
 from musclefit.flow.residuals import surface_residuals
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
-from musclefit.flow.surfaces import Carried
-from musclefit.flow.tetrahedra import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
+from musclefit.flow.surface_refinement import Carried
+from musclefit.flow.tet_refinement import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
-from musclefit.geometry.crossings import TOUCHING_MM
 from musclefit.geometry.fitting import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.pipeline.choices import bone_choices, surface_choices
-from musclefit.pipeline.compared import LoopProgress, papers_loop
+from musclefit.geometry.surfaces.crossings import TOUCHING_MM
+from musclefit.pipeline.chosen_settings import bone_choices, surface_choices
+from musclefit.pipeline.comparisons import LoopProgress, papers_loop
 from musclefit.pipeline.deformers import (
     Deformed,
     baseline_in_words,
@@ -34,13 +34,13 @@ from musclefit.pipeline.deformers import (
     method_in_words,
     rule_in_words,
 )
-from musclefit.pipeline.kept_choices import bone_limits, kept_choices
+from musclefit.pipeline.kept_bones import bone_limits, kept_choices
 from musclefit.pipeline.poses import bones_of, ranges_of, refuse_collision, shared_in_the_pose
 from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finely
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.model import BoneLimit, Compared, MeshSettings, StepKind
+from musclefit.rig.settings import BoneLimit, Compared, MeshSettings, StepKind
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map

@@ -9,16 +9,16 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, MusclefitError
-from musclefit.geometry.sections import Sections
+from musclefit.geometry.surfaces.sections import Sections
 from musclefit.pipeline.poses import bones_of, collision_in_words, collision_on_the_way, shared_in_the_pose
 from musclefit.pipeline.retarget import outcome_of
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Side
 from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job, path_by_joints
-from musclefit.rig.model import Drive, JointDrive, TransformDrive
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import motions_of
+from musclefit.rig.settings import Drive, JointDrive, TransformDrive
 from musclefit.validate.bones import BoneCollision, RigidBones
 from musclefit.validate.muscles import MuscleMeasures, measure_muscles, muscle_sections
 from musclefit.validate.overlaps import SolidAnatomy, solid_anatomy

@@ -8,7 +8,7 @@ from statistics import median
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.report.model import Report, Side, checks_against
-from musclefit.rig.model import Limits
+from musclefit.rig.settings import Limits
 from musclefit.validate.model import TissueCheck
 
 

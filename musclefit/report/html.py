@@ -11,11 +11,11 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from musclefit.anatomy.fits import TissueFit
-from musclefit.anatomy.layers import FILLER
+from musclefit.anatomy.mesh_fidelity import TissueFit
+from musclefit.anatomy.mesh_rules import FILLER
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
-from musclefit.geometry.solids import ROUNDING_MM3
+from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, bone_limit, checks_against
 from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from musclefit.report.model import SCHEMA_VERSION
-from musclefit.rig.model import Purpose
+from musclefit.rig.settings import Purpose
 from musclefit.validate.model import MapClaim, MeshClaim
 
 Schema = dict[str, Any]

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.fits import TissueFit
+from musclefit.anatomy.mesh_fidelity import TissueFit
 from musclefit.anatomy.model import TissueKind
-from musclefit.geometry.solids import ROUNDING_MM3
+from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report import next_steps
-from musclefit.rig.model import Limits, Purpose
+from musclefit.rig.settings import Limits, Purpose
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.model import (
     BoneFieldCheck,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from musclefit.flow.deformation import Status
-from musclefit.rig.model import Purpose
+from musclefit.rig.settings import Purpose
 from musclefit.validate.model import MeshCheck
 
 BEST = 'deformer.method = "rigid-bones"'

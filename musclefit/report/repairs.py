@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.repairs import Change, Deviation, Repaired, RepairSettings
-from musclefit.anatomy.resolutions import Choice, PairResolution, Resolved, Rule, TissueCut
-from musclefit.geometry.faults import Faults
+from musclefit.anatomy.repair.records import Change, Deviation, Repaired, RepairSettings
+from musclefit.anatomy.repair.resolutions import Choice, PairResolution, Resolved, Rule, TissueCut
+from musclefit.geometry.surfaces.faults import Faults
 from musclefit.report import next_steps
 from musclefit.report.model import SCHEMA_VERSION, Verdict, verdict_of
 from musclefit.report.schema import Json

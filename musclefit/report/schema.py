@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.fits import TissueFit
+from musclefit.anatomy.mesh_fidelity import TissueFit
 from musclefit.progress import CERTIFY, MARCH
 from musclefit.report.json_schema import mesh_report_schema, report_schema
 from musclefit.report.model import (
@@ -21,7 +21,7 @@ from musclefit.report.model import (
     total_overlap,
     verdict_of,
 )
-from musclefit.rig.model import Limits
+from musclefit.rig.settings import Limits
 from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
 from musclefit.validate.joint_ranges import JointRange, RangeEnd
 from musclefit.validate.model import (

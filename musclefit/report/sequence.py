@@ -9,10 +9,10 @@ from typing import Any
 
 from musclefit.report import next_steps
 from musclefit.report.model import Verdict, verdict_of
-from musclefit.validate.closer import Look, MeetingKind
+from musclefit.validate.between_frames import Passage
+from musclefit.validate.close_meetings import Look, MeetingKind
 from musclefit.validate.model import Check, MapClaim
 from musclefit.validate.muscles import MuscleMeasures
-from musclefit.validate.passing import Passage
 
 SEQUENCE_SCHEMA_VERSION = 2
 

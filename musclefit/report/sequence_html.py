@@ -12,7 +12,7 @@ from markupsafe import Markup
 from musclefit.report.curves import curves
 from musclefit.report.html import render_page, sentence
 from musclefit.report.sequence import MADE, SEQUENCE_SCHEMA_VERSION, FrameSummary, SequenceReport
-from musclefit.validate.closer import MeetingKind
+from musclefit.validate.close_meetings import MeetingKind
 from musclefit.validate.muscles import MuscleMeasures
 
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
-from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.fitting import CylinderFit, SphereFit, fitted_cylinder, fitted_sphere, weighted_quantile
+from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.surface_samples import surface_samples
-from musclefit.geometry.volumes import area_vectors
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.rig.joint_kinds import JointKind
 
 WITHIN_MM = 5.0

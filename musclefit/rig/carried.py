@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import RigError
-from musclefit.rig.section import suggestion
+from musclefit.rig.table_reader import suggestion
 
 
 def carriers(

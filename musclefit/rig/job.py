@@ -13,14 +13,14 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.crossings import self_crossings
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, StraightPath
 from musclefit.rig.joints import JointSystem
 from musclefit.rig.lattice import ControlLattice
-from musclefit.rig.model import PathKind, Rig
 from musclefit.rig.paths import KeyframePath, ScrewPath
-from musclefit.rig.section import suggestion
+from musclefit.rig.settings import PathKind, Rig
+from musclefit.rig.table_reader import suggestion
 from musclefit.rig.transforms import BoneTransforms, still_findings
 
 SAME_PLACE_MM = 1e-6

@@ -1,6 +1,6 @@
 """Methods by name in a rig table: what a name stands for, which one is the default, and what `--set` does to them.
 
-It takes tables and gives tables; whether their values are right is for `musclefit.rig.table` to say.
+It takes tables and gives tables; whether their values are right is for `musclefit.rig.rig_table` to say.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from musclefit.errors import RigError
-from musclefit.rig.model import METHOD_SETTINGS, BackendKind, Kernel, Method, PathKind, StepKind, require_method
+from musclefit.rig.settings import METHOD_SETTINGS, BackendKind, Kernel, Method, PathKind, StepKind, require_method
 
 METHOD = "deformer.method"
 

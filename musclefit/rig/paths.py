@@ -13,7 +13,7 @@ from musclefit.geometry.arrays import Points, frozen
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.joints import JointSystem
-from musclefit.rig.model import JointDrive, PathKind, SkeletonDrive
+from musclefit.rig.settings import JointDrive, PathKind, SkeletonDrive
 from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose, ring
 
 FLAT_SHARE = 1e-6

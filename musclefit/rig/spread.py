@@ -9,7 +9,7 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Int, Points, frozen
-from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.queries.distances import nearest_places
 from musclefit.rig.handles import Handles
 
 APART_SHARE = 0.02

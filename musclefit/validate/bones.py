@@ -16,10 +16,9 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Float, Points
-from musclefit.geometry.distances import DistanceTree
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.solids import (
+from musclefit.geometry.queries.distances import DistanceTree
+from musclefit.geometry.queries.solids import (
     Solid,
     candidate_pairs,
     moved_solid,
@@ -29,6 +28,7 @@ from musclefit.geometry.solids import (
     solid_outside,
     surface_of,
 )
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.validate.model import BoneOverlap
 
 DEPTH_SHARE = 0.07

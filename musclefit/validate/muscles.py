@@ -9,9 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy, TissueKind
-from musclefit.geometry.gaps import smallest_gap
-from musclefit.geometry.sections import Sections, sections_along
-from musclefit.geometry.volumes import area_vectors, enclosed_volume
+from musclefit.geometry.measures import area_vectors, enclosed_volume
+from musclefit.geometry.queries.gaps import smallest_gap
+from musclefit.geometry.surfaces.sections import Sections, sections_along
 from musclefit.validate.overlaps import SolidAnatomy
 
 NEAR_MM, FAR_MM = 1.0, 10.0

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.crossings import TOUCHING_MM, self_crossings
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.solids import (
+from musclefit.geometry.queries.solids import (
     ROUNDING_MM3,
     Solid,
     candidate_pairs,
@@ -24,8 +23,9 @@ from musclefit.geometry.solids import (
     solid_of,
     volume_outside,
 )
+from musclefit.geometry.surfaces.crossings import TOUCHING_MM, self_crossings
 from musclefit.progress import Progress
-from musclefit.validate.carried import Mapped, carried_volumes
+from musclefit.validate.carried_volumes import Mapped, carried_volumes
 from musclefit.validate.model import BoneOverlap, NotChecked, OutsideCheck, OutsideSkin, OverlapCheck, PairOverlap
 
 WHOLE_RELATIVE = 1e-9

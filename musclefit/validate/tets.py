@@ -13,8 +13,8 @@ from musclefit.certify.model import MeshCertificate
 from musclefit.certify.motions import largest_safe_fraction
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Float, Int, Points
-from musclefit.geometry.tet_quality import dihedral_angles
-from musclefit.geometry.volumes import signed_volumes
+from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.tets.quality import dihedral_angles
 from musclefit.validate.model import MeshCheck, MeshClaim, WorstTet
 
 WORST = 8

@@ -9,9 +9,9 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.measures import area_vectors, enclosed_volume
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.volumes import area_vectors, enclosed_volume
 from musclefit.validate.model import OutsideCheck, TissueCheck
 
 Motion = Callable[[Points], Points]

@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
-from musclefit.geometry.volumes import signed_volumes
+from musclefit.geometry.measures import signed_volumes
 from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose, ring
 
 LENGTH, HALF = 48.0, 4.0

@@ -10,13 +10,13 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from musclefit.anatomy.layers import FILLER, Gaps, LayerRules, gap_widths
+from musclefit.anatomy.mesh_rules import FILLER, Gaps, LayerRules, gap_widths
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.tet_topology import tet_edges, tet_faces
-from musclefit.io.ftetwild import tetrahedralise
-from musclefit.io.surfaces import read_anatomy
+from musclefit.geometry.tets.topology import tet_edges, tet_faces
+from musclefit.io.anatomy import read_anatomy
+from musclefit.meshing.ftetwild import tetrahedralise
 from musclefit.progress import Silent
 
 BONES = ("capitate", "hamate", "lunate", "scaphoid", "trapezium", "trapezoid", "triquetral")

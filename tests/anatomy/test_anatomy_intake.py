@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.anatomy.intake import require_plausible_size, take_in
+from musclefit.anatomy.cleaning import require_plausible_size, take_in
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError, MeshError
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.topology import edges_of
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.surfaces.topology import edges_of
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 

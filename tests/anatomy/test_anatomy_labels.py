@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from musclefit.anatomy.labels import LabelName, label_anatomy
+from musclefit.anatomy.label_surfaces import LabelName, label_anatomy
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
-from musclefit.geometry.crossings import crossings_between, self_crossings
-from musclefit.geometry.images import Frame, Grid
-from musclefit.geometry.solids import overlap_volume, solid_of
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.images.grids import Frame, Grid
+from musclefit.geometry.measures import enclosed_volume
+from musclefit.geometry.queries.solids import overlap_volume, solid_of
+from musclefit.geometry.surfaces.crossings import crossings_between, self_crossings
 
 GRID = Grid((40, 36, 30), np.array([[-1.5, 0, 0, 20.0], [0, 1.5, 0, -30.0], [0, 0, 2.0, 5.0], [0, 0, 0, 1]]))
 NAMES = (

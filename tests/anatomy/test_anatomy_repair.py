@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from planted import ball, box, joined, moebius, voxels
 
-from musclefit.anatomy.repair import repair_surface
-from musclefit.anatomy.repairs import RepairSettings, Way
+from musclefit.anatomy.repair.records import RepairSettings, Way
+from musclefit.anatomy.repair.surface import repair_surface
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.faults import faults_of
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.surfaces.faults import faults_of
 
 LOOSE = RepairSettings(limit_mm=5.0)
 

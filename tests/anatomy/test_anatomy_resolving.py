@@ -7,25 +7,25 @@ import pytest
 import trimesh
 from planted import ball, box
 
-from musclefit.anatomy.choosing import Chooser
-from musclefit.anatomy.midsurfaces import halves, own_sides
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
-from musclefit.anatomy.repairs import RepairSettings
-from musclefit.anatomy.resolutions import Choice, Rule
-from musclefit.anatomy.resolving import CUT, resolved
+from musclefit.anatomy.repair.choosing import Chooser
+from musclefit.anatomy.repair.midsurfaces import halves, own_sides
+from musclefit.anatomy.repair.overlaps import CUT, resolved
+from musclefit.anatomy.repair.records import RepairSettings
+from musclefit.anatomy.repair.resolutions import Choice, Rule
 from musclefit.errors import InputError
-from musclefit.geometry.booleans import as_manifold, difference, grown_by, padded, shared, united
-from musclefit.geometry.crossings import crossings_between, self_crossings
-from musclefit.geometry.distances import nearest_places
-from musclefit.geometry.faults import faults_of
-from musclefit.geometry.gaps import smallest_gap
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.slivers import heights
-from musclefit.geometry.solids import solid_of
-from musclefit.geometry.subdivision import with_short_edges
-from musclefit.geometry.thin_walls import thin_places
-from musclefit.geometry.volumes import enclosed_volume
-from musclefit.geometry.winding import winding_numbers
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.gaps import smallest_gap
+from musclefit.geometry.queries.solids import solid_of
+from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.surfaces.booleans import as_manifold, difference, grown_by, padded, shared, united
+from musclefit.geometry.surfaces.crossings import crossings_between, self_crossings
+from musclefit.geometry.surfaces.faults import faults_of
+from musclefit.geometry.surfaces.slivers import heights
+from musclefit.geometry.surfaces.subdivision import with_short_edges
+from musclefit.geometry.surfaces.thin_walls import thin_places
 from musclefit.progress import Silent
 from musclefit.validate.overlaps import rest_overlaps
 
@@ -238,7 +238,7 @@ def test_tissues_that_do_not_overlap_but_nearly_touch_get_the_clearance_too():
 
 
 def test_a_clearance_that_is_not_reached_is_told(monkeypatch):
-    monkeypatch.setattr("musclefit.anatomy.resolving.ROUNDS", 0)
+    monkeypatch.setattr("musclefit.anatomy.repair.overlaps.ROUNDS", 0)
     low, high = box((10.0, 10.0, 4.0)), box((8.0, 8.0, 2.0), at=(1.0, 1.0, 4.03))
     found = _resolved(_anatomy(("low", MUSCLE, low), ("high", MUSCLE, high)))
     (gap,) = found.gaps

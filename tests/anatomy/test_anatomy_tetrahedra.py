@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.anatomy.fits import (
+from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
+from musclefit.anatomy.mesh_fidelity import (
     LABELLED_VOLUME_PERCENT,
     TissueFit,
     fit_findings,
@@ -16,17 +17,16 @@ from musclefit.anatomy.fits import (
     pieces_of_surface,
     pieces_of_tets,
 )
-from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
-from musclefit.anatomy.layers import FILLER, Gaps, LayerRules, gap_widths
+from musclefit.anatomy.mesh_rules import FILLER, Gaps, LayerRules, gap_widths
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy, surface_faces, tetrahedralise_with
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.measures import enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
+from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.tet_topology import interface, tet_faces
-from musclefit.geometry.volumes import enclosed_volume, signed_volumes
-from musclefit.io.ftetwild import fill, tetrahedralise
+from musclefit.geometry.tets.topology import interface, tet_faces
+from musclefit.meshing.ftetwild import fill, tetrahedralise
 from musclefit.progress import Silent
 
 QUIET = Silent()

@@ -15,9 +15,9 @@ from scipy import sparse
 
 from musclefit.anatomy.builtin import BUILTIN, joints, upper_limb
 from musclefit.anatomy.model import Anatomy, TissueKind
+from musclefit.geometry.measures import area_vectors, enclosed_volume
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.volumes import area_vectors, enclosed_volume
 from musclefit.rig.joints import parse_joints
 from musclefit.validate.bones import rigid_bones, shared_by_bones
 from musclefit.validate.joint_ranges import joint_ranges

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
-from musclefit.geometry.volumes import signed_volumes
+from musclefit.geometry.measures import signed_volumes
 from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose
 
 CUBES = (8, 8, 48)

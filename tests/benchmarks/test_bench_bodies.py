@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
-from musclefit.geometry.solids import ROUNDING_MM3
+from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.retarget import outcome_of
 from musclefit.progress import Silent

@@ -23,7 +23,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import lu_factor, lu_solve
 from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 
 ferreus = pytest.importorskip("ferreus_rbf")
 N_POINTS = 200_000

@@ -15,9 +15,9 @@ import numpy as np
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
-from musclefit.io.runs import layer_rules
-from musclefit.io.tet_cache import TetCache
+from musclefit.meshing.cache import TetCache
 from musclefit.progress import Silent
+from musclefit.workflows.run import layer_rules
 
 RIG = os.environ.get("MUSCLEFIT_BENCH_RIG", "upper_limb")
 AT_LEAST = 20.0

@@ -13,12 +13,12 @@ import numpy as np
 import psutil
 import pytest
 
-from musclefit.fields.ffd_fit import FfdBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.ffd import FfdBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.steps import ExplicitStep
-from musclefit.geometry.images import Frame, Grid, Interpolation
-from musclefit.geometry.sampling import sample
+from musclefit.geometry.images.grids import Frame, Grid, Interpolation
+from musclefit.geometry.images.sampling import sample
 from musclefit.pipeline.images import forward_displacements, inverse_displacements, warp_image
 
 sitk = pytest.importorskip("SimpleITK")

@@ -12,11 +12,11 @@ from attacks import MARGINS, C, Configuration, E, campaign, flow_step, grid, wor
 from musclefit.certify.maps import certify_map
 from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.ffd import FfdField, Lattice
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.validate.model import MapClaim
 
 CAMPAIGN = 12

@@ -22,15 +22,15 @@ from attacks import (
     worst_margin,
 )
 
+from musclefit.certify.body_shells import box_shell, skin_shell
 from musclefit.certify.maps import certify_map
 from musclefit.certify.model import Fold
-from musclefit.certify.shells import box_shell, skin_shell
 from musclefit.errors import InputError, MeshError, NotConvergedError
 from musclefit.fields.kernels import KERNELS
-from musclefit.fields.rbf import RadialBackend, RadialField
+from musclefit.fields.radial import RadialBackend, RadialField
 from musclefit.geometry.meshes import TriMesh
 from musclefit.progress import Tick
-from musclefit.rig.model import StepKind
+from musclefit.rig.settings import StepKind
 from musclefit.validate.model import MapClaim
 
 SCALES = {

@@ -11,9 +11,9 @@ from tet_blocks import block
 from musclefit.certify.meshes import certify_mesh
 from musclefit.certify.model import MeshCertificate
 from musclefit.errors import MeshError
+from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TetMesh
-from musclefit.geometry.orientation import orientations
-from musclefit.geometry.volumes import signed_volumes
+from musclefit.geometry.tets.orientation import orientations
 from musclefit.validate.model import MeshClaim
 
 

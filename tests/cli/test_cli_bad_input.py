@@ -15,7 +15,7 @@ from tiny_rigs import TISSUES, drive_by, drive_by_joints, landmark_rows, write_l
 
 from musclefit.cli import main
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io.outputs import ply_bytes
+from musclefit.io.run_folder import ply_bytes
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import pytest
 from tiny_rigs import egg
 
 from musclefit.cli import main
-from musclefit.io.outputs import ply_bytes
-from musclefit.io.surfaces import read_surface
+from musclefit.io.anatomy import read_surface
+from musclefit.io.run_folder import ply_bytes
 
 
 def test_a_cage_is_written_and_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,9 +21,10 @@ from tiny_rigs import LANDMARKS, TISSUES, egg, exchanged_rows, write_landmarks, 
 from musclefit.cli import main
 from musclefit.figures.stills import Stills
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io import outputs, runs
-from musclefit.io.outputs import ply_bytes
+from musclefit.io import run_folder as outputs
+from musclefit.io.run_folder import ply_bytes
 from musclefit.report.schema import mesh_report_schema, report_schema
+from musclefit.workflows import run as runs
 
 NO_PICTURES = "pictures are switched off in this test"
 
@@ -314,11 +315,11 @@ def full(*_: object, **__: object) -> None:
 
 STAGES = {
     "read": "musclefit.io.rigs.read_rig",
-    "tetrahedralise": "musclefit.io.ftetwild.fill",
+    "tetrahedralise": "musclefit.meshing.ftetwild.fill",
     "march": "musclefit.pipeline.retarget.deform_finely",
-    "draw": "musclefit.io.runs.stills",
-    "surfaces": "musclefit.io.outputs.surface_with_displacements",
-    "page": "musclefit.io.outputs.render_html",
+    "draw": "musclefit.workflows.run.stills",
+    "surfaces": "musclefit.io.run_folder.surface_with_displacements",
+    "page": "musclefit.io.run_folder.render_html",
 }
 
 

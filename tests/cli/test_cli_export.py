@@ -11,7 +11,7 @@ import pytest
 from tet_blocks import two_tissues
 
 from musclefit.cli import main
-from musclefit.io.outputs import DeformedTets, labelled_tets
+from musclefit.io.run_folder import DeformedTets, labelled_tets
 
 
 @pytest.fixture

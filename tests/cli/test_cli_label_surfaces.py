@@ -9,11 +9,11 @@ pytest.importorskip("nibabel", reason="nibabel is not installed (extra volumes)"
 
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.errors import InputError
-from musclefit.geometry.images import Frame, Grid
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.images.grids import Frame, Grid
+from musclefit.geometry.measures import enclosed_volume
+from musclefit.io.anatomy import read_anatomy
+from musclefit.io.formats.nifti import write_volume
 from musclefit.io.label_maps import read_label_names
-from musclefit.io.surfaces import read_anatomy
-from musclefit.io.volumes import write_volume
 
 
 def test_a_segmentation_is_an_anatomy(tmp_path, capsys):

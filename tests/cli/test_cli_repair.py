@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from planted import ball, box, joined, moebius
 
-from musclefit.anatomy.repairs import RepairSettings
+from musclefit.anatomy.repair.records import RepairSettings
 from musclefit.cli import main
 from musclefit.cli.repair import CLEARANCE_MM
-from musclefit.geometry.faults import faults_of
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.volumes import enclosed_volume
-from musclefit.io.outputs import ply_bytes
-from musclefit.io.surfaces import read_anatomy, read_surface
+from musclefit.geometry.surfaces.faults import faults_of
+from musclefit.io.anatomy import read_anatomy, read_surface
+from musclefit.io.run_folder import ply_bytes
 
 
 def _write(path, mesh):

@@ -10,8 +10,8 @@ pytest.importorskip("nibabel", reason="nibabel is not installed (extra volumes)"
 from musclefit.cli.commands import main
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import InputError
-from musclefit.geometry.images import Frame, Grid, Interpolation
-from musclefit.io.volumes import read_volume, write_volume
+from musclefit.geometry.images.grids import Frame, Grid, Interpolation
+from musclefit.io.formats.nifti import read_volume, write_volume
 
 
 @pytest.fixture(scope="module")

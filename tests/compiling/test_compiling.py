@@ -17,7 +17,7 @@ from musclefit import compiling
 from musclefit.compiling import source_stamp, sources_of, threaded
 
 LOOP = """
-from musclefit.fields.terms import rounding_share
+from musclefit.fields.enclosures.source_terms import rounding_share
 assert rounding_share(3) > 0.0
 print(sum(rounding_share.stats.cache_hits.values()), sum(rounding_share.stats.cache_misses.values()))
 """

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from musclefit.errors import FieldError
-from musclefit.fields.eigenvalues import eigenvalue_floor
+from musclefit.fields.enclosures.eigenvalues import eigenvalue_floor
+from musclefit.fields.enclosures.majorants import EXTENTS, majorants
 from musclefit.fields.kernels import KERNELS
-from musclefit.fields.majorants import EXTENTS, majorants
-from musclefit.fields.rbf import RadialBackend, RadialField
+from musclefit.fields.radial import RadialBackend, RadialField
 
 SCALES = {
     "gaussian": 30.0,

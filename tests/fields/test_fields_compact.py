@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from musclefit.errors import FieldError
-from musclefit.fields.compact import CompactBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.conjugate_gradients import CompactBackend
+from musclefit.fields.radial import RadialBackend
 
 COMPACT = ["wendland-c2", "wendland-c4", "isochoric-wendland-c6"]
 

@@ -9,8 +9,8 @@ from scipy.interpolate import BSpline
 
 from musclefit.errors import FieldError
 from musclefit.fields.ffd import FfdField, Lattice, SplineLevel
-from musclefit.fields.ffd_fit import _GRAMS, FfdBackend, LevelSystem, nearest_distance
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.ffd import _GRAMS, FfdBackend, LevelSystem, nearest_distance
+from musclefit.fields.radial import RadialBackend
 
 SHAPES = {2: (7, 6), 3: (7, 6, 8)}
 

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from musclefit.errors import FieldError
 from musclefit.fields.ffd import FfdField, Lattice
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
 
 N_BOXES = 150
 

@@ -11,7 +11,7 @@ from oracles import difference_jacobian
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
 
 BACKEND = IsochoricFfdBackend(16.0)

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from numba import njit
 
-from musclefit.fields import kernels, rbf
-from musclefit.fields.lanes import SHARE, WIDTH, load, shared_inverse_root, shared_root, store
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields import kernels
+from musclefit.fields import radial as rbf
+from musclefit.fields.evaluation.lanes import SHARE, WIDTH, load, shared_inverse_root, shared_root, store
+from musclefit.fields.radial import RadialBackend
 
 IN_LANES = [kernel.name for kernel in kernels.KERNELS.values() if kernel.in_lanes]
 

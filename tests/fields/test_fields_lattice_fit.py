@@ -7,7 +7,7 @@ import pytest
 
 from musclefit.errors import FieldError
 from musclefit.fields.ffd import FfdField
-from musclefit.fields.lattice_fit import FLOOR, SEEN_SHARE, LatticeBackend, met_exactly
+from musclefit.fields.fitting.lattices import FLOOR, SEEN_SHARE, LatticeBackend, met_exactly
 from musclefit.geometry.arrays import Points
 
 

@@ -15,15 +15,15 @@ from musclefit.certify.maps import certify_map
 from musclefit.errors import NotConvergedError
 from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.locked import Fade, LockedField
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
 from musclefit.flow.locks import BoneLocks, LockSettings, Stand
 from musclefit.flow.steps import CayleyStep
-from musclefit.geometry.distances import nearest_places
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.surface_samples import surface_samples
-from musclefit.rig.model import StepKind
+from musclefit.geometry.surfaces.samples import surface_samples
+from musclefit.rig.settings import StepKind
 from musclefit.validate.model import MapClaim
 
 EXACT_MM = 1e-6

@@ -9,7 +9,7 @@ from scipy.interpolate import RBFInterpolator
 
 from musclefit.errors import FieldError
 from musclefit.fields.kernels import KERNELS
-from musclefit.fields.rbf import RadialBackend, RadialField
+from musclefit.fields.radial import RadialBackend, RadialField
 
 SCALE = 30.0
 SCALAR = [k.name for k in KERNELS.values() if not k.isochoric]

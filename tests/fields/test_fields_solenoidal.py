@@ -10,9 +10,9 @@ from oracles import difference_jacobian
 
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.solenoidal import SolenoidalBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
-from musclefit.fields.solenoidal_fit import SolenoidalBackend
 
 
 def some_field(seed: int = 0, spacings: tuple[float, ...] = (8.0, 4.0, 2.0)) -> SolenoidalField:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from musclefit.fields import solve
-from musclefit.fields.solve import ROUGH_FROM, SaddleFactor
+from musclefit.fields.fitting import saddle as solve
+from musclefit.fields.fitting.saddle import ROUGH_FROM, SaddleFactor
 
 
 def system(n: int, eigenvalues: np.ndarray, n_polynomials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,8 +7,8 @@ import pytest
 from attacks import attack_boxes
 from oracles import difference_jacobian
 
-from musclefit.fields.lattice_fit import LatticeBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.lattices import LatticeBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.fields.summed import SummedField
 
 

@@ -10,24 +10,24 @@ import trimesh
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import FieldError
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.locked import Fade
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.bones import IN_GAPS, BoneStepper, contact_residuals, rigid_groups
 from musclefit.flow.deformation import Status
 from musclefit.flow.locks import BoneLocks, LockSettings
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
-from musclefit.flow.surfaces import carried, carried_finely
-from musclefit.geometry.crossings import self_crossings
-from musclefit.geometry.distances import nearest_places
+from musclefit.flow.surface_refinement import carried, carried_finely
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.solids import overlap_volume, solid_of
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.solids import overlap_volume, solid_of
-from musclefit.geometry.surface_samples import surface_samples
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.surfaces.crossings import self_crossings
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.progress import Silent
 from musclefit.rig.handles import BonePath, Handles
 

@@ -15,18 +15,18 @@ from tiny_rigs import egg
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import RigError
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.kept import KeptBone, KeptWay, kept_bones
-from musclefit.geometry.distances import nearest_places
+from musclefit.flow.kept_bones import KeptBone, KeptWay, kept_bones
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.similar import Similarity
-from musclefit.geometry.surface_samples import surface_samples
-from musclefit.geometry.winding import winding_numbers
-from musclefit.io.outputs import ply_bytes
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.similarity import Similarity
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.io.rigs import read_rig
+from musclefit.io.run_folder import ply_bytes
 from musclefit.pipeline.deformers import locked_march_of
 from musclefit.pipeline.retarget import Retargeting, retarget
 from musclefit.progress import Silent
-from musclefit.rig.model import BoneLimit, BoneSettings
+from musclefit.rig.settings import BoneLimit, BoneSettings
 
 RIG = """
 title = "two bones and a muscle in a skin that swells and bends"

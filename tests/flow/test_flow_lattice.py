@@ -6,9 +6,9 @@ import numpy as np
 from oracles import row_norm_fraction
 
 from musclefit.fields.ffd import Lattice
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
+from musclefit.flow.control_lattice import lattice_row_norm_fractions, march_lattice
 from musclefit.flow.deformation import Status
-from musclefit.flow.lattice import lattice_row_norm_fractions, march_lattice
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, explicit_step

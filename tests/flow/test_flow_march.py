@@ -9,7 +9,7 @@ import pytest
 from oracles import row_norm_fraction
 
 from musclefit.errors import NotConvergedError
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Marching, Pace, march, one_shot, points_beside
 from musclefit.flow.rules import (

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tet_blocks import block, two_tissues
 
-import musclefit.flow.relocation as under_test
+import musclefit.flow.tet_mending as under_test
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.meshes import certify_mesh
-from musclefit.flow.tetrahedra import CarriedTets, HeldBones, mended_tets, moved_tets
+from musclefit.flow.tet_refinement import CarriedTets, HeldBones, mended_tets, moved_tets
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion

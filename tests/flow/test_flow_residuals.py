@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.bones import RigidGroup
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.residuals import surface_residuals

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from musclefit.errors import NotConvergedError
-from musclefit.fields.rbf import RadialBackend, RadialField
+from musclefit.fields.radial import RadialBackend, RadialField
 from musclefit.flow.steps import CayleyStep, ExplicitStep
 
 

@@ -8,15 +8,15 @@ import trimesh
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import NotConvergedError
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Marching, Pace, one_shot
-from musclefit.flow.riding import MarchRiders, PlainRiders, riders_of
 from musclefit.flow.rules import cayley_fractions, row_norm_fractions
 from musclefit.flow.steppers import HandleStepper, cayley_step
-from musclefit.flow.surfaces import CutAnatomy, carried, carried_finely, cut_at_rest, finely_carried
-from musclefit.geometry.crossings import self_crossings
+from musclefit.flow.surface_refinement import CutAnatomy, carried, carried_finely, cut_at_rest, finely_carried
+from musclefit.flow.tracked_points import MarchRiders, PlainRiders, riders_of
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.progress import Silent
 from musclefit.rig.handles import StraightPath
 
@@ -184,10 +184,10 @@ def test_crossings_that_halving_does_not_part_are_left_and_counted_not_multiplie
 def test_edges_far_below_the_chord_tolerance_are_not_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slivers as small as these are told, not cut: with the shortest edge above all edges nothing is split."""
     deformation = folded()
-    monkeypatch.setattr("musclefit.flow.surfaces.SHORTEST_SHARE", 1e6)
+    monkeypatch.setattr("musclefit.flow.surface_refinement.SHORTEST_SHARE", 1e6)
     whole = carried_finely(ANATOMY, deformation, tolerance_mm=0.5, longest_mm=20.0, whole=NONE, progress=Silent())
     assert whole.crossings_left > 0
-    monkeypatch.setattr("musclefit.flow.surfaces.MAX_CROSSING_ROUNDS", 0)
+    monkeypatch.setattr("musclefit.flow.surface_refinement.MAX_CROSSING_ROUNDS", 0)
     again = carried_finely(ANATOMY, deformation, tolerance_mm=0.5, longest_mm=20.0, whole=NONE, progress=Silent())
     assert again.splits == whole.splits
     assert again.crossings_left == whole.crossings_left

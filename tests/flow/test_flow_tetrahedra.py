@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from tet_blocks import block, two_tissues
 
-import musclefit.flow.tetrahedra as under_test
+import musclefit.flow.tet_refinement as under_test
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.meshes import certify_mesh
-from musclefit.flow.tetrahedra import CarriedTets, carried_tets, moved_tets
+from musclefit.flow.tet_refinement import CarriedTets, carried_tets, moved_tets
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TetMesh
-from musclefit.geometry.tet_topology import tet_edges, tet_faces
+from musclefit.geometry.tets.topology import tet_edges, tet_faces
 from musclefit.progress import Silent
 from musclefit.validate.model import MeshClaim
 

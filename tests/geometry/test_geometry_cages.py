@@ -9,12 +9,12 @@ import pytest
 import trimesh
 
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.cages import cage_of
-from musclefit.geometry.crossings import self_crossings
-from musclefit.geometry.distances import nearest_places
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.topology import edges_of
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.surfaces.cages import cage_of
+from musclefit.geometry.surfaces.crossings import self_crossings
+from musclefit.geometry.surfaces.topology import edges_of
 
 
 def torus() -> TriMesh:
@@ -73,7 +73,7 @@ def test_what_cannot_have_a_cage_is_named() -> None:
 
 @pytest.mark.anatomy
 def test_a_cage_of_the_body_follows_its_skin(anatomy_data: Path) -> None:
-    from musclefit.io.surfaces import read_surface
+    from musclefit.io.anatomy import read_surface
 
     skin = read_surface(anatomy_data / "body" / "skin.ply").mesh()
     cage = cage_of(skin, vertices=500)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.geometry.crossings import crossings_between, self_crossings
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.surfaces.crossings import crossings_between, self_crossings
 
 FLOOR = [[0.0, 0, 0], [2, 0, 0], [0, 2, 0]]
 

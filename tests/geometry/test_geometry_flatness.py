@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from musclefit.geometry.tet_flatness import freeing_cut
+from musclefit.geometry.tets.flatness import freeing_cut
 
 
 def test_edges_that_pass_each_other_are_cut_where_they_do() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.geometry.grading import EdgeLengths
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import FaceEdges, with_short_edges
+from musclefit.geometry.surfaces.edge_lengths import EdgeLengths
+from musclefit.geometry.surfaces.subdivision import FaceEdges, with_short_edges
 
 
 def test_lengths_grow_with_the_distance_up_to_the_most() -> None:

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from musclefit.errors import MeshError
-from musclefit.geometry.implicit import (
+from musclefit.anatomy.builtin.implicit_shapes import (
     NEVER,
     ball,
     carved,
@@ -26,7 +25,8 @@ from musclefit.geometry.implicit import (
     union,
     within_box,
 )
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.errors import MeshError
+from musclefit.geometry.measures import enclosed_volume
 
 ORIGIN = np.zeros(3)
 POINTS = np.random.default_rng(5).uniform(-8.0, 8.0, (500, 3))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from musclefit.errors import MeshError
-from musclefit.geometry.orientation import orientations, undecided_in_floating_point
+from musclefit.geometry.tets.orientation import orientations, undecided_in_floating_point
 
 ONE_TET = np.array([[0, 1, 2, 3]])
 

@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import ball, box, moebius, voxels
 
-from musclefit.geometry.booleans import difference, grown_by, united, vertex_normals
-from musclefit.geometry.crossings import crossings_between, self_crossings
-from musclefit.geometry.distances import nearest_places
-from musclefit.geometry.faults import Faults, faults_of, pinched_vertices
-from musclefit.geometry.hausdorff import distances_from_triangles, reach
-from musclefit.geometry.holes import filled_holes, rims
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.patches import cancelled, cut_at_pinches, facing_outwards, superfluous
-from musclefit.geometry.topology import consistent_orientation, edges_of
-from musclefit.geometry.uncrossing import parted, uncrossed, with_holes_filled, without_flat_faces
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.hausdorff import distances_from_triangles, reach
+from musclefit.geometry.surfaces.booleans import difference, grown_by, united, vertex_normals
+from musclefit.geometry.surfaces.crossings import crossings_between, self_crossings
+from musclefit.geometry.surfaces.faults import Faults, faults_of, pinched_vertices
+from musclefit.geometry.surfaces.holes import filled_holes, rims
+from musclefit.geometry.surfaces.patches import cancelled, cut_at_pinches, facing_outwards, superfluous
+from musclefit.geometry.surfaces.topology import consistent_orientation, edges_of
+from musclefit.geometry.surfaces.uncrossing import parted, uncrossed, with_holes_filled, without_flat_faces
 
 
 def test_a_clean_surface_has_no_fault():

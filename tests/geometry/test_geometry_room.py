@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import ball, box, joined
 
-from musclefit.geometry.booleans import AROUND, LEAST_COSINE, SHRINKS, difference, grown_by, padded
-from musclefit.geometry.clearing import faces_near
-from musclefit.geometry.crossings import self_crossings
-from musclefit.geometry.distances import nearest_places
-from musclefit.geometry.faults import faults_of
-from musclefit.geometry.hausdorff import reach
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.slivers import heights, without_slivers
-from musclefit.geometry.thin_walls import thin_places, without_thin_places
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.hausdorff import reach
+from musclefit.geometry.queries.nearby_faces import faces_near
+from musclefit.geometry.surfaces.booleans import AROUND, LEAST_COSINE, SHRINKS, difference, grown_by, padded
+from musclefit.geometry.surfaces.crossings import self_crossings
+from musclefit.geometry.surfaces.faults import faults_of
+from musclefit.geometry.surfaces.slivers import heights, without_slivers
+from musclefit.geometry.surfaces.thin_walls import thin_places, without_thin_places
 
 
 def _wedge(degrees):

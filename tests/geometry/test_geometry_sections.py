@@ -9,7 +9,7 @@ import trimesh
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.sections import sections_along
+from musclefit.geometry.surfaces.sections import sections_along
 
 TURN = RigidMotion.about_axis(centre=np.array([5.0, 2.0, 1.0]), axis=np.array([1.0, 2.0, -2.0]), angle_deg=70.0)
 

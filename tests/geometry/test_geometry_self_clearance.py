@@ -6,12 +6,12 @@ import manifold3d as m3
 import numpy as np
 import pytest
 
-from musclefit.geometry.booleans import as_mesh
-from musclefit.geometry.crossings import self_crossings
-from musclefit.geometry.faults import faults_of
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.self_clearance import too_close, with_self_clearance
-from musclefit.geometry.volumes import enclosed_volume
+from musclefit.geometry.surfaces.booleans import as_mesh
+from musclefit.geometry.surfaces.crossings import self_crossings
+from musclefit.geometry.surfaces.faults import faults_of
+from musclefit.geometry.surfaces.self_clearance import too_close, with_self_clearance
 
 WIDTH, MOST = 0.02, 0.025
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.sheets import UNKNOWN, sheets_of
+from musclefit.geometry.queries.sheet_winding import UNKNOWN, sheets_of
 
 
 def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0), *, inside_out: bool = False) -> TriMesh:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from musclefit.errors import MeshError
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.solids import (
+from musclefit.geometry.queries.solids import (
     ROUNDING_MM3,
     candidate_pairs,
     outside_mesh,
@@ -24,8 +25,7 @@ from musclefit.geometry.solids import (
     solid_of,
     volume_outside,
 )
-from musclefit.geometry.volumes import enclosed_volume
-from musclefit.geometry.winding import winding_numbers
+from musclefit.geometry.queries.winding import winding_numbers
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> TriMesh:

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from musclefit.errors import MeshError
-from musclefit.geometry.distances import nearest_places, smooth_normals, thinned
+from musclefit.geometry.measures import area_vectors, enclosed_volume
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import FaceEdges, split_edges, with_short_edges
-from musclefit.geometry.topology import edges_of
-from musclefit.geometry.volumes import area_vectors, enclosed_volume
+from musclefit.geometry.queries.distances import nearest_places, smooth_normals, thinned
+from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges, with_short_edges
+from musclefit.geometry.surfaces.topology import edges_of
 
 
 def sphere(subdivisions: int = 2) -> TriMesh:

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import with_short_edges
-from musclefit.geometry.surface_samples import largest_gap, surface_samples
+from musclefit.geometry.surfaces.samples import largest_gap, surface_samples
+from musclefit.geometry.surfaces.subdivision import with_short_edges
 
 SQUARE = TriMesh(
     np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [40.0, 30.0, 0.0], [0.0, 30.0, 0.0]]),

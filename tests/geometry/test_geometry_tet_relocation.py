@@ -8,9 +8,9 @@ from scipy.optimize import check_grad
 from tet_blocks import block
 
 from musclefit.geometry.arrays import Float
-from musclefit.geometry.orientation import orientations
-from musclefit.geometry.tet_relocation import Planes, Springs, _energy, inverse_shapes, relocated
-from musclefit.geometry.volumes import signed_volumes
+from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.tets.orientation import orientations
+from musclefit.geometry.tets.relocation import Planes, Springs, _energy, inverse_shapes, relocated
 
 
 @pytest.mark.parametrize("softness", [1.0, 0.1])

@@ -11,12 +11,12 @@ import pytest
 from tet_blocks import block
 
 from musclefit.errors import MeshError
+from musclefit.geometry.measures import enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.geometry.orientation import orientations
-from musclefit.geometry.tet_quality import dihedral_angles
-from musclefit.geometry.tet_subdivision import Incidence, independent_edges, split_edges, tets_around
-from musclefit.geometry.tet_topology import interface, tet_edges, tet_faces
-from musclefit.geometry.volumes import enclosed_volume, signed_volumes
+from musclefit.geometry.tets.orientation import orientations
+from musclefit.geometry.tets.quality import dihedral_angles
+from musclefit.geometry.tets.subdivision import Incidence, independent_edges, split_edges, tets_around
+from musclefit.geometry.tets.topology import interface, tet_edges, tet_faces
 
 
 def euler_characteristic(tets: np.ndarray) -> int:

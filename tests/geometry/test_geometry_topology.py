@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.topology import (
+from musclefit.geometry.surfaces.topology import (
     chains,
     consistent_orientation,
     edges_of,

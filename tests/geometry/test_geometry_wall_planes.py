@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.tet_relocation import Planes
-from musclefit.geometry.wall_planes import Divide, Wall, planes_before
+from musclefit.geometry.tets.relocation import Planes
+from musclefit.geometry.tets.wall_planes import Divide, Wall, planes_before
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=5.0)
 FACES = np.asarray(BALL.faces)

@@ -9,8 +9,8 @@ import pytest
 from tiny_rigs import egg
 
 from musclefit.errors import MeshError
-from musclefit.io.outputs import ply_bytes
 from musclefit.io.rigs import read_rig
+from musclefit.io.run_folder import ply_bytes
 
 RIG = """
 title = "a ball in a cage"
@@ -50,7 +50,7 @@ def test_each_crossing_pair_of_a_cage_is_named_and_refused(folder: Path) -> None
 
 
 def test_the_cages_of_the_body_are_named(anatomy_data: Path) -> None:
-    from musclefit.io.surfaces import read_surface
+    from musclefit.io.anatomy import read_surface
     from musclefit.rig.job import cage_crossings
 
     counts = {}

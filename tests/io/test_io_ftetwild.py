@@ -15,11 +15,11 @@ import psutil
 import pytest
 import trimesh
 
-from musclefit.anatomy.layers import LayerRules
+from musclefit.anatomy.mesh_rules import LayerRules
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io import ftetwild
+from musclefit.meshing import ftetwild
 
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=10.0)
 VERTICES, FACES = np.asarray(BALL.vertices, dtype=np.float64), np.asarray(BALL.faces, dtype=np.int64)
@@ -97,7 +97,7 @@ def test_the_worker_dies_with_the_process_that_started_it(tmp_path: Path) -> Non
     script = textwrap.dedent("""
         import os, signal
         import psutil, trimesh
-        from musclefit.io import ftetwild
+        from musclefit.meshing import ftetwild
         ball = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
         def die(_):
             (worker,) = psutil.Process().children()

@@ -16,7 +16,7 @@ from vtkmodules.vtkIOGeometry import vtkGLTFReader
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io.glb import animated_glb, thinned_surface
+from musclefit.io.formats.glb import animated_glb, thinned_surface
 
 COLOURS = {"skin": (0.9, 0.7, 0.6), "muscle_a": (0.7, 0.2, 0.2)}
 

@@ -10,13 +10,13 @@ from tiny_rigs import write_tiny_rig
 
 from musclefit.errors import InputError
 from musclefit.fields.ffd import Lattice
-from musclefit.io.lattices import read_displacements
+from musclefit.io.formats.control_points import read_displacements
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform, deform_in_one_shot
 from musclefit.pipeline.retarget import retarget
 from musclefit.progress import Silent
 from musclefit.rig.lattice import ControlLattice
-from musclefit.rig.model import Unit
+from musclefit.rig.settings import Unit
 
 LOW, HIGH, SHAPE = np.array([-70.0, -40.0, -40.0]), np.array([70.0, 40.0, 40.0]), (8, 5, 5)
 

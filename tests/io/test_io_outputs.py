@@ -20,13 +20,13 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.io import outputs
-from musclefit.io.outputs import DeformedTets, check_writable, file_names, ply_bytes, write_inspection, write_run
-from musclefit.io.surfaces import read_anatomy
+from musclefit.io import run_folder as outputs
+from musclefit.io.anatomy import read_anatomy
+from musclefit.io.run_folder import DeformedTets, check_writable, file_names, ply_bytes, write_inspection, write_run
 from musclefit.report.html import PNG_SIGNATURE
 from musclefit.report.model import CONVERGED, MeshReport, Report, Side, TissueSummary
 from musclefit.report.schema import report_schema
-from musclefit.rig.model import Limits
+from musclefit.rig.settings import Limits
 from musclefit.validate.model import LandmarkCheck, MapCheck, MapClaim, OverlapCheck, TissueCheck
 
 HOSTILE = ("../../x<script>", "/etc/passwd", "a/b", "a\\b", "A b", "a b", "..", "", "nul.txt", "sehne_ß_腱", "x" * 300)
@@ -306,7 +306,7 @@ def test_a_folder_without_permission_is_refused(tmp_path):
     locked.chmod(0o500)
     code = (
         "import os, sys; from pathlib import Path\n"
-        "from musclefit.io.outputs import check_writable\n"
+        "from musclefit.io.run_folder import check_writable\n"
         "from musclefit.errors import InputError\n"
         "os.geteuid() == 0 and os.seteuid(65534)\n"
         "try:\n    check_writable(Path(sys.argv[1]))\n"

@@ -13,12 +13,12 @@ from tiny_rigs import egg, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.errors import InputError
-from musclefit.io.outputs import ply_bytes
-from musclefit.io.point_files import read_points
+from musclefit.io.anatomy import read_surface
+from musclefit.io.formats.points import read_points
 from musclefit.io.rigs import read_rig
-from musclefit.io.surfaces import read_surface
+from musclefit.io.run_folder import ply_bytes
 from musclefit.pipeline.retarget import retarget
-from musclefit.rig.model import Unit
+from musclefit.rig.settings import Unit
 
 SHIFT = np.array([1.0, -20.0, 300.0])
 FCSV = (

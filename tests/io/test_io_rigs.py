@@ -17,11 +17,11 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError, LandmarkError, MeshError, RigError
 from musclefit.io.named_files import resolve_data
 from musclefit.io.rigs import builtin_rig_path, builtin_rigs, find_rig, read_rig
-from musclefit.rig import model
+from musclefit.rig import settings as model
 from musclefit.rig.handles import BonePath, StraightPath
 from musclefit.rig.joints import parse_joints
-from musclefit.rig.model import JointDrive, Kernel
-from musclefit.rig.table import known_keys, parse_rig
+from musclefit.rig.rig_table import known_keys, parse_rig
+from musclefit.rig.settings import JointDrive, Kernel
 
 RIGS = Path(__file__).resolve().parents[2] / "rigs"
 

@@ -12,7 +12,7 @@ import pytest
 from tet_blocks import two_tissues
 
 from musclefit.errors import InputError
-from musclefit.io.solver_files import FORMATS, PLACEHOLDER, UNITS, LabelledTets, solver_labels, write_solver_file
+from musclefit.io.formats.solvers import FORMATS, PLACEHOLDER, UNITS, LabelledTets, solver_labels, write_solver_file
 
 NAMES = ("muscle: biceps / brachii", "empty tissue", "bone")
 

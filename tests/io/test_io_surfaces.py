@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.anatomy.intake import take_in
+from musclefit.anatomy.cleaning import take_in
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.crossings import self_crossings
-from musclefit.io.surfaces import read_anatomy, read_surface
-from musclefit.rig.model import Unit
+from musclefit.geometry.surfaces.crossings import self_crossings
+from musclefit.io.anatomy import read_anatomy, read_surface
+from musclefit.rig.settings import Unit
 
 BALL = trimesh.creation.icosphere(1, radius=10.0)
 VERTICES = np.array(BALL.vertices) + [100.0, 200.0, 1000.0] + 1 / 3

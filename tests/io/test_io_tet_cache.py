@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from musclefit.anatomy.layers import Gaps, LayerRules
+from musclefit.anatomy.mesh_rules import Gaps, LayerRules
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.caches import default_cache_folder
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
-from musclefit.io import tet_cache
-from musclefit.io.tet_cache import ABANDONED_S, TetCache, content_hash, default_limit_mb
+from musclefit.meshing import cache as tet_cache
+from musclefit.meshing.cache import ABANDONED_S, TetCache, content_hash, default_limit_mb
 from musclefit.progress import Silent
 
 QUIET = Silent()
@@ -265,7 +265,7 @@ def test_a_process_killed_while_writing_leaves_no_entry(tmp_path: Path, made: Te
         from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
         from musclefit.anatomy.tetrahedra import TetAnatomy
         from musclefit.geometry.meshes import TetMesh, TriMesh
-        from musclefit.io import tet_cache
+        from musclefit.meshing import cache as tet_cache
         stored = np.load({str(arrays)!r})
         surface = TriMesh(np.eye(3), np.array([[0, 1, 2]]))
         anatomy = Anatomy(tuple(Tissue(n, TissueKind.MUSCLE, surface) for n in "ab"), "test")

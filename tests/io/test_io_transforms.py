@@ -15,12 +15,12 @@ from tiny_rigs import drive_by, egg, write_tiny_rig
 
 from musclefit.errors import InputError, LandmarkError, RigError
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.io.outputs import ply_bytes
+from musclefit.io.formats.transforms import parse_transforms, transforms_text
 from musclefit.io.rigs import read_rig
-from musclefit.io.transforms import parse_transforms, transforms_text
+from musclefit.io.run_folder import ply_bytes
 from musclefit.rig.bone_fits import RigidPath
 from musclefit.rig.handles import BonePath, StraightPath
-from musclefit.rig.model import PathKind, TransformDrive, Unit
+from musclefit.rig.settings import PathKind, TransformDrive, Unit
 from musclefit.rig.transforms import BoneTransforms
 
 README = Path(__file__).resolve().parents[2] / "rigs" / "README.md"

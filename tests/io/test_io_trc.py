@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from musclefit.errors import LandmarkError
-from musclefit.io.landmarks import paired, read_landmarks
-from musclefit.io.trc import read_trajectories
-from musclefit.rig.model import Unit
+from musclefit.io.formats.landmarks import paired, read_landmarks
+from musclefit.io.formats.trc import read_trajectories
+from musclefit.rig.settings import Unit
 
 TRC = (
     "PathFileType\t4\t(X/Y/Z)\tstatic.trc\n"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from musclefit.errors import InputError, MusclefitError
-from musclefit.io.worker_pool import PINNED, Pool
+from musclefit.workflows.worker_pool import PINNED, Pool
 
 _prepared: list[str] = []
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracles import difference_jacobian
 
-from musclefit.fields.ffd_fit import FfdBackend
+from musclefit.fields.fitting.ffd import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.protocol import Backend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.march import Pace, march
 from musclefit.flow.rules import cayley_fractions, monotone_fractions, row_norm_fractions

@@ -15,11 +15,11 @@ from musclefit.errors import InputError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.pipeline import between
 from musclefit.pipeline.between import MAX_POSES, PoseError, PosesOnTheWay, between_frames
-from musclefit.pipeline.choices import surface_choices
+from musclefit.pipeline.chosen_settings import surface_choices
 from musclefit.pipeline.sequence import Stage
 from musclefit.rig.motion import Pose
-from musclefit.validate.closer import MeetingKind
-from musclefit.validate.passing import PassageCheck
+from musclefit.validate.between_frames import PassageCheck
+from musclefit.validate.close_meetings import MeetingKind
 
 pytest.importorskip("ipctk")
 

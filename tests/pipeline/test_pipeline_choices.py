@@ -13,7 +13,15 @@ from tiny_rigs import drive_by_joints, write_tiny_rig
 import musclefit
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.geometry.meshes import TriMesh
-from musclefit.pipeline.choices import CHORD, CHORDS, bone_choices, bone_sizes, surface_choices, thickness, tight_gap
+from musclefit.pipeline.chosen_settings import (
+    CHORD,
+    CHORDS,
+    bone_choices,
+    bone_sizes,
+    surface_choices,
+    thickness,
+    tight_gap,
+)
 from musclefit.rig.job import Job
 
 

@@ -9,11 +9,11 @@ import pytest
 from tiny_rigs import drive_by_joints, write_tiny_rig
 
 import musclefit
-from musclefit.pipeline.compared import is_papers_loop, papers_loop
+from musclefit.pipeline.comparisons import is_papers_loop, papers_loop
 from musclefit.pipeline.retarget import Retargeting
 from musclefit.progress import CERTIFY, MARCH
 from musclefit.rig.job import Job
-from musclefit.rig.model import Method
+from musclefit.rig.settings import Method
 
 IMPLICIT = ("deformer.kernel=isochoric-r3", "deformer.step=cayley")
 ALONG_JOINTS = (*IMPLICIT, "deformer.path=joints")

@@ -12,15 +12,15 @@ from tiny_rigs import BEND_DEG, LANDMARKS, drive_by, drive_by_joints, landmark_r
 
 import musclefit
 from musclefit.errors import InputError
-from musclefit.geometry.surface_samples import surface_samples
-from musclefit.io.sequences import planned, read_frames, run_sequence
-from musclefit.io.transforms import transforms_text
+from musclefit.geometry.surfaces.samples import surface_samples
+from musclefit.io.formats.transforms import transforms_text
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.poses import bones_of, collision_on_the_way
 from musclefit.pipeline.retarget import Retargeting
 from musclefit.pipeline.sequence import Stage, at_rest, check_pose, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
+from musclefit.workflows.sequence import planned, read_frames, run_sequence
 
 RIGID = (
     "bones.rigid=true",

@@ -11,7 +11,7 @@ from tiny_rigs import drive_by_joints, write_tiny_rig
 import musclefit
 from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.locked import LockedField
-from musclefit.geometry.surface_samples import surface_samples
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.io.rig_names import find_rig
 from musclefit.pipeline.retarget import Retargeting
 from musclefit.progress import Silent

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from musclefit.errors import InputError
-from musclefit.fields.ffd_fit import FfdBackend
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.fitting.ffd import FfdBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.inverses import origins
 from musclefit.flow.steps import CayleyStep, ExplicitStep
-from musclefit.geometry.images import Frame, Grid, Interpolation, in_frame
-from musclefit.geometry.sampling import prefiltered, sample
-from musclefit.io.volumes import read_volume, write_displacements, write_volume
+from musclefit.geometry.images.grids import Frame, Grid, Interpolation, in_frame
+from musclefit.geometry.images.sampling import prefiltered, sample
+from musclefit.io.formats.nifti import read_volume, write_displacements, write_volume
 from musclefit.pipeline.images import forward_displacements, inverse_displacements, jacobian_map, warp_image
 
 sitk = pytest.importorskip("SimpleITK", reason="SimpleITK is not installed (extra examples)")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from musclefit.fields.rbf import RadialBackend
+from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
-from musclefit.flow.riding import PlainRiders
 from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.steps import CayleyStep
+from musclefit.flow.tracked_points import PlainRiders
 from musclefit.pipeline.deformers import Deformed
 from musclefit.pipeline.refining import KeptRiders, _kept
 

@@ -19,17 +19,17 @@ from musclefit.certify.meshes import certify_mesh
 from musclefit.errors import NotConvergedError, RigError
 from musclefit.figures.stills import Stills
 from musclefit.flow.deformation import Status
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.volumes import enclosed_volume
-from musclefit.io import runs
-from musclefit.io.outputs import ply_bytes
-from musclefit.io.surfaces import read_surface
+from musclefit.io.anatomy import read_surface
+from musclefit.io.run_folder import ply_bytes
 from musclefit.pipeline.deformers import _bone_stepper
 from musclefit.pipeline.retarget import Outcome, Retargeting
 from musclefit.progress import Silent, Tick
 from musclefit.report.model import CONVERGED
 from musclefit.report.schema import to_json
+from musclefit.workflows import run as runs
 
 LANDMARK_MM = 1e-6
 

@@ -14,15 +14,15 @@ from tiny_rigs import drive_by_joints, write_tiny_rig
 
 import musclefit
 from musclefit.errors import InputError, RigError
-from musclefit.io import sequence_tasks
 from musclefit.io.sequence_frames import read_frame
-from musclefit.io.sequences import SequencePlan, longest_first, planned, read_frames, run_sequence
 from musclefit.pipeline import refining
-from musclefit.pipeline.choices import surface_choices
+from musclefit.pipeline.chosen_settings import surface_choices
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.sequence import Stage, frames, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
+from musclefit.workflows import sequence_tasks
+from musclefit.workflows.sequence import SequencePlan, longest_first, planned, read_frames, run_sequence
 
 BEND = "time_s,elbow_deg,phase\n0,0,rest\n1,40,bent\n2,0,rest\n"
 PATH = ("deformer.path=joints", "certificate.max_boxes=2000")

@@ -10,8 +10,8 @@ import pytest
 
 import musclefit
 from musclefit.errors import RigError
-from musclefit.io.surfaces import read_anatomy
-from musclefit.pipeline.states import states
+from musclefit.io.anatomy import read_anatomy
+from musclefit.pipeline.intermediate_states import states
 
 RIG = """
 title = "Bar"

@@ -11,17 +11,17 @@ import pytest
 from musclefit.anatomy.model import TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.meshes import certify_mesh
-from musclefit.flow.tetrahedra import HeldBones, carried_tets, mended_tets, moved_tets
+from musclefit.flow.tet_refinement import HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.solids import overlap_volume, solid_of
+from musclefit.geometry.queries.solids import overlap_volume, solid_of
 from musclefit.geometry.tet_surfaces import surface_of_tets
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
-from musclefit.io.runs import prepared_tets
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Silent
 from musclefit.validate.model import MeshClaim
 from musclefit.validate.tets import check_tets
+from musclefit.workflows.run import prepared_tets
 
 RIGID = ("tets.enabled=true", "bones.handle_spacing_mm=9", "bones.iterations=40")
 

@@ -9,7 +9,7 @@ import pytest
 
 from musclefit.anatomy.findings import Finding
 from musclefit.report.model import CONVERGED, Report, Side
-from musclefit.rig.model import Limits
+from musclefit.rig.settings import Limits
 from musclefit.validate.model import (
     LandmarkCheck,
     MapCheck,

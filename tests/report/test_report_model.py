@@ -9,7 +9,7 @@ import pytest
 
 from musclefit.report.comparison import compare, worst_first
 from musclefit.report.model import MeshLimits, MeshReport, TissueSummary, absent, checks_against
-from musclefit.rig.model import Limits
+from musclefit.rig.settings import Limits
 from musclefit.validate.model import (
     LandmarkCheck,
     MapClaim,

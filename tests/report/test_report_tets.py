@@ -8,8 +8,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from musclefit.anatomy.fits import TissueFit
-from musclefit.anatomy.layers import FILLER
+from musclefit.anatomy.mesh_fidelity import TissueFit
+from musclefit.anatomy.mesh_rules import FILLER
 from musclefit.report.html import render_html
 from musclefit.report.model import TetSummary
 from musclefit.report.schema import report_schema, to_json

@@ -9,7 +9,7 @@ import trimesh
 from musclefit.errors import InputError
 from musclefit.geometry.fitting import CylinderFit, fitted_cylinder, fitted_sphere
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import FaceEdges, split_edges
+from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges
 from musclefit.rig.articulation import fitted_joint
 from musclefit.rig.joint_kinds import JointKind
 

@@ -11,7 +11,8 @@ import pytest
 
 from musclefit.errors import RigError
 from musclefit.rig.methods import IDLE, STANDS_FOR
-from musclefit.rig.model import (
+from musclefit.rig.rig_table import apply_overrides, known_keys, parse_rig
+from musclefit.rig.settings import (
     METHOD_SETTINGS,
     AnatomySource,
     BackendKind,
@@ -27,7 +28,6 @@ from musclefit.rig.model import (
     SurfaceSettings,
     TestedAt,
 )
-from musclefit.rig.table import apply_overrides, known_keys, parse_rig
 
 RIGS = Path(__file__).resolve().parents[2] / "rigs"
 

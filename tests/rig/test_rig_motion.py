@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from musclefit.errors import InputError
-from musclefit.io.motions import read_motion
+from musclefit.io.formats.motions import read_motion
 from musclefit.rig.motion import Interpolation, Motion
 
 JUMP = "time_s,knee_deg,ankle_deg,phase\n0,0,0,stand\n0.45,60,20,deepest\n0.7,5,-10,take-off\n1.6,0,0,stand\n"

@@ -9,8 +9,8 @@ from musclefit.errors import LandmarkError, RigError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import Handles
 from musclefit.rig.joints import parse_joints
-from musclefit.rig.model import JointDrive, PathKind
 from musclefit.rig.paths import KeyframeMotions, KeyframePath, ScrewMotions, ScrewPath, motions_of
+from musclefit.rig.settings import JointDrive, PathKind
 
 HINGES = parse_joints(
     {

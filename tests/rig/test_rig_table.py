@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
 from musclefit.fields.kernels import KERNELS
-from musclefit.rig.model import (
+from musclefit.rig.rig_table import apply_overrides, known_keys, parse_rig
+from musclefit.rig.settings import (
     AnatomySource,
     BoneSettings,
     CageDrive,
@@ -32,7 +33,6 @@ from musclefit.rig.model import (
     TetSettings,
     Unit,
 )
-from musclefit.rig.table import apply_overrides, known_keys, parse_rig
 
 JOINTS = """
 title = "Right forearm"

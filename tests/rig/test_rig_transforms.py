@@ -12,7 +12,7 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.rig.model import PathKind, TransformDrive
+from musclefit.rig.settings import PathKind, TransformDrive
 from musclefit.rig.transforms import (
     BoneTransforms,
     Given,

@@ -12,10 +12,10 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import MusclefitError
 from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.subdivision import with_short_edges
+from musclefit.geometry.surfaces.subdivision import with_short_edges
 from musclefit.progress import Silent
-from musclefit.validate.closer import Look, MeetingKind, Names, Posed, Refined, looked_at
-from musclefit.validate.passing import Passage, check_passages
+from musclefit.validate.between_frames import Passage, check_passages
+from musclefit.validate.close_meetings import Look, MeetingKind, Names, Posed, Refined, looked_at
 
 pytest.importorskip("ipctk")
 

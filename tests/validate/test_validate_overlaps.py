@@ -13,9 +13,9 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.solids import refined_to
+from musclefit.geometry.queries.solids import refined_to
 from musclefit.progress import Silent
-from musclefit.validate.carried import SETTLED_MM3, CarriedVolume, Mapped, carried_volumes
+from musclefit.validate.carried_volumes import SETTLED_MM3, CarriedVolume, Mapped, carried_volumes
 from musclefit.validate.model import BoneOverlap
 from musclefit.validate.overlaps import check_outside_skin, check_overlaps, rest_overlaps, solid_anatomy
 
@@ -258,7 +258,7 @@ def test_carried_volume_of_a_curved_map_is_its_integral() -> None:
 
 
 def test_a_carried_volume_need_not_be_exacter_than_what_it_is_compared_with(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("musclefit.validate.carried.BATCH_TRIANGLES", 1)
+    monkeypatch.setattr("musclefit.validate.carried_volumes.BATCH_TRIANGLES", 1)
     surfaces = [box((0, 0, 0), (10, 10, 10)), box((5, 0, 0), (30, 10, 10)), box((-20, 0, 0), (10, 7, 10))]
     calls: list[int] = []
 
@@ -297,7 +297,7 @@ def test_a_rest_that_is_checked_against_many_poses_is_measured_once() -> None:
 
 
 def test_a_surface_too_large_to_refine_is_said_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("musclefit.validate.carried.MAX_TRIANGLES", 20)
+    monkeypatch.setattr("musclefit.validate.carried_volumes.MAX_TRIANGLES", 20)
     (volume,) = carried_volumes([box((0, 0, 0), (10, 10, 10))], against=[0.0], mapped=sloped(bend), tick=lambda _: None)
     assert not volume.settled
     assert "too large to refine" in volume.doubt()

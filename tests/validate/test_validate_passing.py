@@ -11,7 +11,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.progress import Silent
-from musclefit.validate.passing import check_passages
+from musclefit.validate.between_frames import check_passages
 
 pytest.importorskip("ipctk")
 

@@ -10,7 +10,7 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.subdivision import FaceEdges, split_edges
+from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges
 from musclefit.validate.model import OutsideCheck, OutsideSkin
 from musclefit.validate.tissues import BEST_FIT, PRESCRIBED, check_tissues
 

@@ -62,7 +62,7 @@ def test_the_mni_brain_is_warped_by_forty_landmarks_within_four_volumes_of_memor
     """Peak of NumPy's own memory, beside the input; every second voxel of the 1 mm grid."""
     import tracemalloc
 
-    from musclefit.geometry.images import Frame, Grid, Interpolation
+    from musclefit.geometry.images.grids import Frame, Grid, Interpolation
     from musclefit.pipeline.images import warp_image
 
     fig6 = example("fig6_child_adult")

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from musclefit.cli import main
-from musclefit.io.surfaces import read_anatomy
+from musclefit.io.anatomy import read_anatomy
 from musclefit.progress import Silent
 from musclefit.validate.overlaps import rest_overlaps
 

@@ -11,14 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from musclefit.anatomy.builtin.joints import (
-    CAPITULUM_CENTRE,
-    MAX_FLEXION_DEG,
-    ULNA_HEAD_CENTRE,
-    along_forearm_axis,
-    from_forearm,
-)
-from musclefit.geometry.implicit import (
+from musclefit.anatomy.builtin.implicit_shapes import (
     Shape,
     ball,
     carved,
@@ -28,6 +21,13 @@ from musclefit.geometry.implicit import (
     swept_about_x,
     tube,
     union,
+)
+from musclefit.anatomy.builtin.joints import (
+    CAPITULUM_CENTRE,
+    MAX_FLEXION_DEG,
+    ULNA_HEAD_CENTRE,
+    along_forearm_axis,
+    from_forearm,
 )
 
 CARTILAGE_GAP_MM = 1.5

@@ -13,9 +13,9 @@ from functools import cache, reduce
 import numpy as np
 
 from musclefit.anatomy.builtin.bones import HUMERUS_BOX, RADIUS_BOX, ULNA_BOX, humerus, radius, ulna
+from musclefit.anatomy.builtin.implicit_shapes import Shape, carved, parted, tube, union, within_box
 from musclefit.anatomy.builtin.joints import from_forearm
 from musclefit.geometry.arrays import Float, Points, frozen
-from musclefit.geometry.implicit import Shape, carved, parted, tube, union, within_box
 
 BONE_GAP_MM = 0.9
 MUSCLE_GAP_MM = 1.0

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from musclefit.anatomy.builtin.bones import humerus, radius, ulna
+from musclefit.anatomy.builtin.implicit_shapes import Shape, graded_axis, offset, polygonised, tube, union
 from musclefit.anatomy.builtin.joints import from_forearm
 from musclefit.anatomy.builtin.muscles import bellies, muscle_shapes
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.geometry.arrays import Float
-from musclefit.geometry.implicit import Shape, graded_axis, offset, polygonised, tube, union
 from musclefit.geometry.meshes import TriMesh
 
 FRAME = "right upper limb, x lateral, y anterior, z proximal, origin on the elbow's hinge, mm"

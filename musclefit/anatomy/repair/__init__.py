@@ -1,0 +1,1 @@
+"""Dirty or overlapping surfaces made into surfaces that bound solids and share no point."""

@@ -1,0 +1,1 @@
+"""Rigorous bounds of fields and their derivatives over boxes, rounded outward."""

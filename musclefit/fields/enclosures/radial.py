@@ -1,0 +1,148 @@
+"""Takes a radial field and boxes, gives proved enclosures of its value, gradient and strain over each of them.
+
+A proof speaks of the field as a formula with the numbers of the record taken as exact; what the fast loops compute of
+it is off by their own rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from musclefit.errors import FieldError
+from musclefit.fields.enclosures import radial_sums as bounds
+from musclefit.fields.enclosures import values as value_bounds
+from musclefit.fields.enclosures.majorants import EXTENTS, majorants
+from musclefit.fields.enclosures.source_terms import rounding_share
+from musclefit.fields.kernels import KERNELS
+from musclefit.geometry.arrays import Float, Gradients, Points
+
+if TYPE_CHECKING:
+    from musclefit.fields.radial import RadialField
+
+BLUR = 8.0 * float(np.finfo(np.float64).eps)
+"""Of the largest local coordinates: how far a local position, a difference of two and its computed length are off."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Boxes:
+    """Boxes made local to a field's origin, in space, with the field as the loops take it."""
+
+    field: tuple[Any, ...]
+    local: Points
+    half_widths: Float
+    blur: float
+
+
+def gradient_bounds(
+    field: RadialField, centres: Points, half_widths: Float, *, balls: Float
+) -> tuple[Gradients, Float]:
+    """Enclose the gradient over boxes, or over their parts within ``balls`` (B,) of the centres.
+
+    See `musclefit.fields.protocol.Field.gradient_bounds`.
+    """
+    boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
+    gradients, radii = np.empty((len(centres), 3, 3)), np.empty(len(centres))
+    bounds.gradient_boxes(*boxes.field, boxes.local, boxes.half_widths, balls, boxes.blur, gradients, radii)
+    return np.ascontiguousarray(gradients[:, :n, :n]), radii
+
+
+def strain_bounds(
+    field: RadialField, centres: Points, half_widths: Float, *, balls: Float, enough: tuple[float, float]
+) -> tuple[Float, Float]:
+    """Bound the eigenvalues of the strain over boxes, or over their parts within ``balls`` (B,) of the centres.
+
+    See `musclefit.fields.radial.RadialField.strain_bounds`.
+    """
+    boxes = _prepared(field, centres, half_widths)
+    ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
+    planar = centres.shape[1] == 2
+    bounds.strain_boxes(
+        *boxes.field,
+        boxes.local,
+        boxes.half_widths,
+        balls,
+        boxes.blur,
+        planar,
+        np.array(enough, dtype=float),
+        ranges,
+        middles,
+    )
+    return ranges, middles
+
+
+def displacement_bounds(field: RadialField, centres: Points, half_widths: Float) -> tuple[Points, Float]:
+    """Enclose the displacement over boxes; see `musclefit.fields.radial.RadialField.displacement_bounds`."""
+    boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
+    code, isochoric, scale, _, table, _, sources, weights, sizes, _ = boxes.field
+    summed, errors = np.empty_like(boxes.local), np.empty(len(centres))
+    slope = table[4].max() / (scale if code in EXTENTS else 1.0)
+    value_bounds.values(code, isochoric, scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
+    affine = field.translation + (centres - field.origin) @ field.linear.T
+    values: Points = affine + summed[:, :n]
+    parts = (
+        np.abs(field.translation).sum() + (np.abs(boxes.local).sum(axis=1) + boxes.blur) * np.abs(field.linear).sum()
+    )
+    share = rounding_share(len(sizes))
+    radii = np.repeat((errors + share * (parts + np.abs(values).max(axis=1)))[:, None], n, axis=1)
+    if half_widths.any():
+        gradients, spread = gradient_bounds(field, centres, half_widths, balls=endless(centres))
+        diagonals = np.linalg.norm(half_widths, axis=1)
+        radii += np.einsum("bik,bk->bi", np.abs(gradients), half_widths) + (spread * diagonals)[:, None]
+    return values, radii * (1.0 + 2.0 * share)
+
+
+def endless(centres: Points) -> Float:
+    """Infinite balls: whole boxes."""
+    return np.full(len(centres), np.inf)
+
+
+def cubes(radii: Float, n: int) -> Float:
+    """(B, n) half widths of the cubes around balls."""
+    return np.repeat(np.asarray(radii, dtype=np.float64)[:, None], n, axis=1)
+
+
+def _prepared(field: RadialField, centres: Points, half_widths: Float) -> _Boxes:
+    n = field.centres.shape[1]
+    if centres.ndim != 2 or centres.shape[1] != n or half_widths.shape != centres.shape:
+        raise FieldError(
+            f"boxes have centres {centres.shape} and half widths {half_widths.shape}; this field needs (B, {n}) of both"
+        )
+    if not (half_widths >= 0.0).all():
+        raise FieldError("half widths of boxes must be numbers of at least 0")
+    kernel = KERNELS[field.kernel]
+    sources, local = field.centres - field.origin, centres - field.origin
+    largest = sum(float(np.abs(a).max(initial=0.0)) for a in (sources, local))
+    weights = _in_space(field.weights)
+    sizes = np.hypot(np.hypot(weights[:, 0], weights[:, 1]), weights[:, 2]) * (1.0 + 1e-15) + 1e-300
+    linear = np.zeros((3, 3))
+    linear[:n, :n] = field.linear
+    return _Boxes(
+        field=(
+            kernel.code,
+            kernel.isochoric,
+            field.scale,
+            EXTENTS.get(kernel.code, 1.0),
+            majorants(kernel.code),
+            field.scale if kernel.compact else np.inf,
+            np.ascontiguousarray(_in_space(sources).T),
+            np.ascontiguousarray(weights.T),
+            sizes,
+            linear,
+        ),
+        local=np.ascontiguousarray(_in_space(local)),
+        half_widths=np.ascontiguousarray(_in_space(np.asarray(half_widths, dtype=np.float64))),
+        blur=max(BLUR * largest, 1e-100),
+    )
+
+
+def _in_space(points: Points) -> Points:
+    return points if points.shape[1] == 3 else np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
+def narrower(a: Float, b: Float) -> Float:
+    """What two proved ranges (B, 2) of the same eigenvalues prove together."""
+    both: Float = np.stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])], axis=1)
+    return both

@@ -1,0 +1,1 @@
+"""Compiled sums that fields are evaluated by."""

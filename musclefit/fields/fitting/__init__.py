@@ -1,0 +1,1 @@
+"""From handles and their displacements to a field: linear systems and least squares."""

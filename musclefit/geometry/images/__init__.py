@@ -1,0 +1,1 @@
+"""Image grids, and images read between their voxels."""

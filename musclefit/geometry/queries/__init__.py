@@ -1,0 +1,1 @@
+"""Questions to surfaces: distances, gaps, what is inside, what two solids share."""

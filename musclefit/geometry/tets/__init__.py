@@ -1,0 +1,1 @@
+"""Tetrahedra: orientation, quality, topology, and how they are split and moved."""

@@ -1,0 +1,172 @@
+"""NIfTI files <-> images with their grid; knows headers and intents, not anatomy. Needs nibabel (extra ``volumes``).
+
+NIfTI affines and everything inside musclefit's grids are RAS+; ITK, SimpleITK and 3D Slicer's transforms are LPS+.
+Displacement fields are written as those programs read them: five axes (x, y, z, 1, component), vector intent, and
+**LPS+ components** in mm, which is also ANTs' convention; the grid keeps its RAS+ affine, as every NIfTI does.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from musclefit.errors import InputError
+from musclefit.geometry.images.grids import Frame, Grid, in_frame
+
+_ENDINGS = (".nii", ".nii.gz")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Volume:
+    """An image file: voxel values as stored (scaled to numbers where the header says so), grid, and SHA-256."""
+
+    values: NDArray[Any]
+    grid: Grid
+    sha256: str
+
+    @property
+    def holds_labels(self) -> bool:
+        """True where the values are whole numbers."""
+        return np.issubdtype(self.values.dtype, np.integer)
+
+
+def read_volume(path: Path) -> Volume:
+    """Read a NIfTI image of three axes.
+
+    Values stay whole numbers where they are stored so and unscaled; others become float32.
+
+    Raises
+    ------
+    InputError
+        No such file, no NIfTI, another number of axes, no orientation in its header, or nibabel is not installed.
+    """
+    nibabel = _nibabel()
+    _require_ending(path)
+    try:
+        image = nibabel.load(path)
+        unscaled = (image.dataobj.slope, image.dataobj.inter) == (1.0, 0.0)
+        whole = np.issubdtype(image.get_data_dtype(), np.integer) and unscaled
+        data = np.asanyarray(image.dataobj) if whole else image.get_fdata(dtype=np.float32, caching="unchanged")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such image; correct the path") from None
+    except (OSError, EOFError, ValueError, nibabel.filebasedimages.ImageFileError) as error:
+        raise InputError(f"{path}: cannot be read as NIfTI ({error}); export it again") from None
+    if data.ndim > 3 and data.shape[3:] == (1,) * (data.ndim - 3):
+        data = data.reshape(data.shape[:3])
+    if data.ndim != 3:
+        raise InputError(f"{path}: an image of shape {data.shape}; expected three axes, one value for each voxel")
+    header = image.header
+    if int(header["qform_code"]) == 0 and int(header["sform_code"]) == 0:
+        raise InputError(
+            f"{path}: its header states no orientation (qform and sform codes are 0), so where its voxels are is "
+            "unknown; set one with the program it comes from"
+        )
+    unit = header.get_xyzt_units()[0]
+    scale = {"mm": 1.0, "unknown": 1.0, "meter": 1000.0, "micron": 0.001}[unit]
+    affine = np.diag([scale, scale, scale, 1.0]) @ image.affine
+    shape = (int(data.shape[0]), int(data.shape[1]), int(data.shape[2]))
+    return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha256(path.read_bytes()).hexdigest())
+
+
+def check_images_writable(paths: Sequence[Path], *, given: Sequence[Path]) -> None:
+    """Raise InputError unless all images can be written, so that long work is not lost.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        To be written.
+    given : sequence of Path
+        Images that are read, which are not to be overwritten.
+
+    Raises
+    ------
+    InputError
+        nibabel is not installed; a name that does not end in .nii or .nii.gz; one file named twice, or that is read; a
+        folder that cannot be made or written to.
+    """
+    _nibabel()
+    taken = {path.resolve(): path for path in given}
+    for path in paths:
+        _require_ending(path)
+        if path.resolve() in taken:
+            raise InputError(
+                f"{path}: is named twice, or is the image that is read; give each result a file of its own"
+            )
+        taken[path.resolve()] = path
+        folder = next(parent for parent in (path.resolve().parent, *path.resolve().parents) if parent.exists())
+        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+            raise InputError(f"{path}: cannot be written; choose a file in a folder that can")
+
+
+def write_volume(path: Path, values: NDArray[Any], grid: Grid, *, description: str) -> None:
+    """Write one value for each voxel, with the grid's affine as qform and sform (scanner coordinates, mm).
+
+    Raises
+    ------
+    InputError
+        The file name does not end in .nii or .nii.gz, or nibabel is not installed.
+    """
+    _write(path, values, grid, description=description, intent="none")
+
+
+def write_displacements(path: Path, vectors: NDArray[Any], grid: Grid, *, description: str) -> None:
+    """Write a displacement field that SimpleITK, ITK, ANTs and 3D Slicer read as a transform.
+
+    Parameters
+    ----------
+    vectors : (nx, ny, nz, 3) array, mm
+        RAS+; written with LPS+ components. Those programs move a *point* p to p + vector(p), and fetch an image's voxel
+        at p from there: an image is warped by the inverse displacements of `musclefit.pipeline.images`.
+
+    Raises
+    ------
+    InputError
+        As for `write_volume`; or a vector that is not finite.
+    """
+    flat = vectors.reshape(-1, 3)
+    bad = int((~np.isfinite(flat)).any(axis=1).sum())
+    if bad:
+        raise InputError(
+            f"{path}: {bad} of {len(flat)} displacements are not finite: the map is not one-to-one there; "
+            "choose a grid closer to the body"
+        )
+    lps = in_frame(flat, of=Frame.RAS, to=Frame.LPS).reshape(*grid.shape, 1, 3).astype(np.float32)
+    _write(path, lps, grid, description=description, intent="vector")
+
+
+def _write(path: Path, values: NDArray[Any], grid: Grid, *, description: str, intent: str) -> None:
+    nibabel = _nibabel()
+    _require_ending(path)
+    image = nibabel.Nifti1Image(values, grid.affine)
+    image.set_qform(grid.affine, code=1)
+    image.set_sform(grid.affine, code=1)
+    image.header.set_xyzt_units("mm")
+    image.header.set_intent(intent)
+    image.header["descrip"] = description.encode("ascii", "replace")[:79]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".unfinished-{path.name}")
+    try:
+        nibabel.save(image, unfinished)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _require_ending(path: Path) -> None:
+    if not path.name.lower().endswith(_ENDINGS):
+        raise InputError(f"{path}: images are read and written as {' or '.join(_ENDINGS)} files")
+
+
+def _nibabel() -> Any:
+    try:
+        import nibabel
+    except ImportError:
+        raise InputError("images need nibabel, which is not installed; pip install 'musclefit[volumes]'") from None
+    return nibabel

@@ -1,0 +1,137 @@
+"""Tables of text -> columns of names and positions in mm, or an error with line and column; knows no landmark."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from musclefit.errors import LandmarkError
+from musclefit.geometry.arrays import Float, Points
+from musclefit.rig.settings import Unit
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The rows of a text table by heading, each with its line number."""
+
+    path: Path
+    headings: tuple[str, ...]
+    rows: tuple[tuple[int, tuple[str, ...]], ...]
+
+    @classmethod
+    def of_csv(cls, text: str, path: Path, *, key: str = "name") -> Rows:
+        """Read a table parted by comma, semicolon or tab, whose first line has the headings, ``key`` among them."""
+        first = text.lstrip().splitlines()[0]
+        delimiter = max(",;\t", key=first.count)
+        lines = csv_lines(text, path, delimiter=delimiter)
+        headings = tuple(cell.strip().lower() for cell in lines[0][1])
+        table = cls(path, headings, tuple(lines[1:]))
+        table.require(key)
+        table.check_widths()
+        return table
+
+    @property
+    def said(self) -> str:
+        """The headings in words."""
+        return ", ".join(self.headings)
+
+    def require(self, *wanted: str) -> None:
+        """Raise LandmarkError unless each column is there, once."""
+        for heading in wanted:
+            if heading not in self.headings:
+                raise LandmarkError(f"{self.path}: no column {heading}; found are: {self.said}")
+            if self.headings.count(heading) > 1:
+                raise LandmarkError(f"{self.path}: two columns are named {heading}; remove one")
+
+    def check_widths(self) -> None:
+        """Raise LandmarkError unless every row has a value for every column."""
+        for line, cells in self.rows:
+            if len(cells) != len(self.headings):
+                raise LandmarkError(
+                    f"{self.path}: line {line} has {len(cells)} values for {len(self.headings)} columns; correct it "
+                    "(numbers are written with a point)"
+                )
+
+    def texts(self, heading: str) -> tuple[str, ...]:
+        """One column; names and labels must not be empty."""
+        self.require(heading)
+        column = self.headings.index(heading)
+        texts = tuple(cells[column].strip() for _, cells in self.rows)
+        if heading in ("name", "label") and "" in texts:
+            raise LandmarkError(
+                f"{self.path}: line {self.rows[texts.index('')][0]} has no {heading}; name the landmark"
+            )
+        return texts
+
+    def numbers(self, headings: Sequence[str]) -> Float:
+        """(rows, columns) finite float64; LandmarkError names line and column of the first value that is none."""
+        self.require(*headings)
+        columns = [self.headings.index(heading) for heading in headings]
+        values = np.empty((len(self.rows), len(columns)))
+        for i, (line, cells) in enumerate(self.rows):
+            for k, column in enumerate(columns):
+                try:
+                    values[i, k] = float(cells[column])
+                except ValueError as error:
+                    raise LandmarkError(
+                        f"{self.path}: line {line}: {headings[k]} is {cells[column]!r}, which is no number (numbers "
+                        "are written with a point); correct it"
+                    ) from error
+                if not np.isfinite(values[i, k]):
+                    said = f"{headings[k]} is {cells[column]}, not finite"
+                    raise LandmarkError(f"{self.path}: line {line}: {said}; correct it")
+        return values
+
+
+def csv_lines(text: str, path: Path, *, delimiter: str) -> list[tuple[int, tuple[str, ...]]]:
+    """The rows that are not blank, each with its line number, from 1."""
+    reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
+    try:
+        return [(reader.line_num, tuple(row)) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise LandmarkError(f"{path}: line {reader.line_num}: {error}; correct the line") from error
+
+
+@dataclass(frozen=True, slots=True)
+class PositionColumns:
+    """The three headings of a position and their unit."""
+
+    headings: tuple[str, ...]
+    unit: Unit
+
+    @classmethod
+    def find(cls, rows: Rows, prefix: str, units: Unit) -> PositionColumns | None:
+        """Find ``<prefix>x``, with or without a unit, and its sisters; None where there is none of the three."""
+        found: dict[str, tuple[str, str]] = {}
+        for heading in rows.headings:
+            said = re.fullmatch(rf"{re.escape(prefix.lower())}([xyz])(?:_([a-zµ]+))?", heading)
+            if said is None:
+                continue
+            axis, unit = said[1], said[2] or ""
+            if unit and unit not in set(Unit):
+                known = ", ".join(Unit)
+                raise LandmarkError(f"{rows.path}: column {heading} is in {unit!r}, an unknown unit; known are {known}")
+            if axis in found:
+                raise LandmarkError(f"{rows.path}: both {found[axis][0]} and {heading} give {axis}; remove one")
+            found[axis] = heading, unit
+        if not found:
+            return None
+        first, unit = next(iter(found.values()))
+        for axis in "xyz":
+            if axis not in found:
+                missing = f"{prefix}{axis}" + (f"_{unit}" if unit else "")
+                raise LandmarkError(f"{rows.path}: no column {missing} beside {first}; found are: {rows.said}")
+        if any(other != unit for _, other in found.values()):
+            said_units = ", ".join(heading for heading, _ in found.values())
+            raise LandmarkError(f"{rows.path}: the columns {said_units} are in different units; write all in one")
+        return cls(tuple(found[axis][0] for axis in "xyz"), Unit(unit) if unit else units)
+
+    def read(self, rows: Rows) -> Points:
+        """(rows, 3) positions, mm."""
+        return rows.numbers(self.headings) * self.unit.in_mm

@@ -1,0 +1,148 @@
+"""Marker trajectories (OpenSim's .trc): text <-> names and positions in mm over all frames; knows no landmark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from musclefit.errors import LandmarkError
+from musclefit.geometry.arrays import Float, Points
+from musclefit.rig.settings import Unit
+
+_FIRST_MARKER = 2
+"""Columns before the first marker: frame and time."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trajectories:
+    """One file of markers.
+
+    Parameters
+    ----------
+    names : tuple of str, length m
+    positions : (frames, m, 3) float64, mm
+        Not a number where a marker was not seen.
+    unit : Unit
+        Of the file.
+    lines : tuple of str
+        The file's lines; those of frames are ``frame_lines``.
+    frame_lines : tuple of int
+    """
+
+    names: tuple[str, ...]
+    positions: Float
+    unit: Unit
+    lines: tuple[str, ...]
+    frame_lines: tuple[int, ...]
+
+    def mean(self) -> Points:
+        """(m, 3) mean over the frames in which each marker was seen, mm."""
+        means: Points = np.nanmean(self.positions, axis=0)
+        return means
+
+    def largest_motion(self) -> tuple[str, float]:
+        """The marker that is farthest from its mean in some frame, and how far, mm."""
+        off = np.nanmax(np.linalg.norm(self.positions - self.mean(), axis=2), axis=0)
+        worst = int(np.argmax(off))
+        return self.names[worst], float(off[worst])
+
+    @property
+    def seen(self) -> Points:
+        """(k, 3) all positions that were seen, frame by frame, mm."""
+        flat = self.positions.reshape(-1, 3)
+        found: Points = flat[np.isfinite(flat).all(axis=1)]
+        return found
+
+    def with_seen(self, moved: Points) -> str:
+        """The file's text with the positions that were seen, (k, 3) mm, moved."""
+        flat = np.array(self.positions.reshape(-1, 3))
+        flat[np.isfinite(flat).all(axis=1)] = moved
+        frames = flat.reshape(self.positions.shape) / self.unit.in_mm
+        lines = list(self.lines)
+        for line, frame in zip(self.frame_lines, frames, strict=True):
+            head = lines[line].split("\t")[:_FIRST_MARKER]
+            lines[line] = "\t".join([*head, *("" if np.isnan(x) else repr(float(x)) for x in frame.ravel())])
+        return "\n".join(lines) + "\n"
+
+
+def read_trajectories(text: str, source: str, *, units: Unit) -> Trajectories:
+    """Read the text of a .trc file.
+
+    Parameters
+    ----------
+    text : str
+    source : str
+        The file, for messages.
+    units : Unit
+        Where the file states none.
+
+    Raises
+    ------
+    LandmarkError
+        A header that is not that of a .trc file, fewer or more frames or markers than it states, a value that is no
+        number, or a marker that no frame has.
+    """
+    lines = tuple(text.splitlines())
+    stated = _stated(lines, source)
+    unit = _unit(stated.get("Units", ""), source, units)
+    names = tuple(cell.strip() for cell in lines[3].split("\t")[_FIRST_MARKER:] if cell.strip())
+    n_markers, n_frames = (_count(stated, key, source) for key in ("NumMarkers", "NumFrames"))
+    if len(names) != n_markers:
+        raise LandmarkError(f"{source}: names {len(names)} markers, but its header says {n_markers}; export it again")
+    rows = tuple(i for i in range(5, len(lines)) if lines[i].strip())
+    if len(rows) != n_frames:
+        raise LandmarkError(
+            f"{source}: has {len(rows)} frames, but its header says {n_frames}; the file is cut short, export it again"
+        )
+    if not rows:
+        raise LandmarkError(f"{source}: has no frame; export it again")
+    positions = np.stack([_frame(lines[i], i + 1, source, n_markers) for i in rows]) * unit.in_mm
+    never = np.flatnonzero(~np.isfinite(positions).all(axis=2).any(axis=0))
+    if never.size:
+        raise LandmarkError(f"{source}: marker {names[never[0]]!r} is in no frame; leave its columns out")
+    return Trajectories(names, positions, unit, lines, rows)
+
+
+def _stated(lines: tuple[str, ...], source: str) -> dict[str, str]:
+    if len(lines) < 5 or not lines[0].startswith("PathFileType") or not lines[3].startswith("Frame#"):
+        raise LandmarkError(
+            f"{source}: no .trc file: it needs a first line PathFileType, two lines with NumFrames, NumMarkers and "
+            "Units, and a fourth line Frame#, Time and the markers; export it again"
+        )
+    return dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+
+
+def _unit(said: str, source: str, units: Unit) -> Unit:
+    if not said.strip():
+        return units
+    if said.strip() not in set(Unit):
+        raise LandmarkError(f"{source}: Units is {said.strip()!r}; known are {', '.join(Unit)}")
+    return Unit(said.strip())
+
+
+def _count(stated: dict[str, str], key: str, source: str) -> int:
+    try:
+        return int(stated[key])
+    except (KeyError, ValueError):
+        raise LandmarkError(
+            f"{source}: {key} is {stated.get(key, 'missing')}, no whole number; export it again"
+        ) from None
+
+
+def _frame(line: str, number: int, source: str, n_markers: int) -> Points:
+    """(m, 3) positions of one frame in the file's unit; a marker with an empty value is not a number."""
+    cells = [cell.strip() for cell in line.split("\t")][_FIRST_MARKER:]
+    wanted = 3 * n_markers
+    if len(cells) > wanted and any(cells[wanted:]):
+        raise LandmarkError(f"{source}: line {number} has {len(cells)} coordinates, not {wanted}; correct it")
+    cells = (cells + [""] * wanted)[:wanted]
+    values = np.empty(wanted)
+    for k, cell in enumerate(cells):
+        try:
+            values[k] = float(cell) if cell else np.nan
+        except ValueError:
+            raise LandmarkError(f"{source}: line {number}: {cell!r} is no number; correct it") from None
+    found = values.reshape(-1, 3)
+    found[~np.isfinite(found).all(axis=1)] = np.nan
+    return found

@@ -1,0 +1,358 @@
+"""Writes the folder of a run or an inspection, whole or not at all; decides nothing about what is in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import unicodedata
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from musclefit.anatomy.model import Anatomy, Tissue
+from musclefit.errors import InputError
+from musclefit.geometry.arrays import Points
+from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.meshes import TriMesh
+from musclefit.report.html import render_html, render_inspection
+from musclefit.report.model import MeshReport, Report
+from musclefit.report.schema import Json, to_json
+
+if TYPE_CHECKING:
+    from musclefit.anatomy.tetrahedra import TetAnatomy
+    from musclefit.pipeline.intermediate_states import State
+
+REPORT_JSON, REPORT_HTML = "report.json", "report.html"
+SURFACES, PICTURES, TETS, POINTS, INTERMEDIATE = "surfaces", "pictures", "tets.vtu", "points", "intermediate"
+
+_NO_POINTS: Mapping[str, Callable[[Path], None]] = MappingProxyType({})
+_NAME_BYTES = 100
+"""Longest file name made of a tissue's, without its ending; file systems end at 255 bytes."""
+_SOLID = 3
+"""Dimension of a tissue made of tetrahedra."""
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DeformedTets:
+    """Labelled tetrahedra at rest, and where their vertices (n, 3) went, mm."""
+
+    rest: TetAnatomy
+    vertices: Points
+
+
+def check_writable(folder: Path) -> None:
+    """Refuse, before long work, a folder that a run could not be written to.
+
+    A folder is taken when it does not exist, is empty, or holds a former run of ours, which will be replaced; files in
+    it that the former run did not write are kept.
+
+    Raises
+    ------
+    InputError
+        Something else is there, or nothing can be created beside it.
+    """
+    try:
+        _require_free(_resolved(folder), folder)
+    except OSError as error:
+        raise InputError(
+            f"the output folder {folder} cannot be written ({error.strerror}: {error.filename}); name another"
+        ) from error
+
+
+def _require_free(target: Path, folder: Path) -> None:
+    """``check_writable`` for the folder that ``folder`` stands for; what the system refuses is an OSError."""
+    if target.exists():
+        if not target.is_dir():
+            raise InputError(f"the output folder {folder} is a file; name a folder that does not exist yet")
+        if os.path.ismount(target) or Path.cwd().is_relative_to(target):
+            which = "a mount point" if os.path.ismount(target) else "the current folder, or holds it"
+            raise InputError(
+                f"the output folder {folder} is {which} and cannot be replaced whole; name a folder inside it"
+            )
+        if any(target.iterdir()):
+            _former_files(target, folder)
+    trial = _existing_parent(target) / f".{target.name}.trial-{uuid.uuid4().hex}"
+    trial.mkdir()
+    trial.rmdir()
+
+
+def write_run(
+    folder: Path,
+    report: Report,
+    *,
+    rest: Anatomy,
+    deformed: Anatomy,
+    tets: DeformedTets | None,
+    pictures: Mapping[str, bytes],
+    pictures_problem: str = "",
+    points: Mapping[str, Callable[[Path], None]] = _NO_POINTS,
+    states: Iterable[State] = (),
+) -> tuple[Path, ...]:
+    """Write one run: report, page, deformed surfaces, tetrahedra, pictures, further points.
+
+    Everything is made in a folder beside the target, which then takes its place; a failure leaves what was there.
+
+    Parameters
+    ----------
+    folder : Path
+    report : Report
+    rest, deformed : Anatomy
+        The same tissues before and after.
+    tets : DeformedTets or None
+        None where no tetrahedra were made.
+    pictures : mapping of caption to PNG bytes
+    pictures_problem : str
+        Why there are no pictures.
+    points : mapping of file name to callable
+        Further files, each written to the path that it is given.
+    states : iterable of State
+        Intermediate states, whose surfaces are written one folder each.
+
+    Returns
+    -------
+    tuple of Path
+        Every file written, the report first.
+
+    Raises
+    ------
+    InputError
+        The folder holds something else than a former run.
+    """
+    names = file_names([tissue.name for tissue in deformed])
+    surfaces = [
+        {"name": name, "ply": f"{SURFACES}/{safe}.ply", "vtp": f"{SURFACES}/{safe}.vtp"} for name, safe in names.items()
+    ]
+    captions = file_names([caption.split(":")[0] for caption in pictures], numbered=True)
+
+    def fill(build: Path) -> None:
+        (build / SURFACES).mkdir()
+        for tissue, files in zip(deformed, surfaces, strict=True):
+            (build / files["ply"]).write_bytes(ply_bytes(tissue.surface))
+            _save(surface_with_displacements(rest[tissue.name], tissue, frame=deformed.frame), build / files["vtp"])
+        if tets is not None:
+            _save(labelled_tets(tets), build / TETS)
+        if pictures:
+            (build / PICTURES).mkdir()
+        for safe, png in zip(captions.values(), pictures.values(), strict=True):
+            (build / PICTURES / f"{safe}.png").write_bytes(png)
+        if points:
+            (build / POINTS).mkdir()
+        for name, write in points.items():
+            write(build / POINTS / name)
+        _write_states(build / INTERMEDIATE, states, names=names)
+        page = render_html(report, pictures=pictures, pictures_problem=pictures_problem)
+        (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
+
+    return _write_folder(folder, fill, {**to_json(report), "surfaces": surfaces})
+
+
+def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
+    """Write the report of an anatomy as it is, as JSON and as a page; whole or not at all, as ``write_run``."""
+
+    def fill(build: Path) -> None:
+        page = render_inspection(report)
+        (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
+
+    return _write_folder(folder, fill, to_json(report))
+
+
+def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json) -> tuple[Path, ...]:
+    """Write surface files, by their paths below the folder, and a report on them; whole or not at all."""
+
+    def fill(build: Path) -> None:
+        for name, data in surfaces.items():
+            (build / name).parent.mkdir(parents=True, exist_ok=True)
+            (build / name).write_bytes(data)
+
+    return _write_folder(folder, fill, report)
+
+
+def file_names(names: Sequence[str], *, numbered: bool = False) -> dict[str, str]:
+    """A file name for each name, without ending: readable, inside its folder on every system, all different.
+
+    Letters, digits, ``-``, ``_`` and ``.`` stay; every other run of characters becomes one ``_``. Names that then
+    differ by case alone, or not at all, get a number.
+
+    Parameters
+    ----------
+    names : sequence of str
+        All different; or ``numbered``, which puts each one's number in front and keys the result by number and name.
+    """
+    taken: set[str] = set()
+    safe: dict[str, str] = {}
+    for position, name in enumerate(names, start=1):
+        plain = f"{position:02d}-{_plain_name(name)}" if numbered else _plain_name(name)
+        candidate, count = plain, 1
+        while candidate.casefold() in taken:
+            count += 1
+            candidate = f"{plain}-{count}"
+        taken.add(candidate.casefold())
+        safe[f"{position} {name}" if numbered else name] = candidate
+    return safe
+
+
+def ply_bytes(mesh: TriMesh) -> bytes:
+    """Binary little-endian PLY with double positions, so that what is read back is what was written."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment lengths in mm\n"
+        f"element vertex {len(mesh.vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    return header.encode("ascii") + mesh.vertices.astype("<f8").tobytes() + faces.tobytes()
+
+
+def surface_with_displacements(rest: Tissue, deformed: Tissue, *, frame: str) -> Any:
+    r"""The deformed surface as PolyData, with ``displacement_mm`` and ``rest_position_mm`` at its points.
+
+    ``name``, ``kind`` and ``frame`` are field data; VTK's text is ASCII, so anything else stands as ``\u8171``.
+    """
+    import pyvista as pv  # slow to import, and not needed to refuse a folder
+
+    surface = pv.PolyData.from_regular_faces(np.array(deformed.surface.vertices), np.array(deformed.surface.faces))
+    surface.point_data["displacement_mm"] = deformed.surface.vertices - rest.surface.vertices
+    surface.point_data["rest_position_mm"] = np.array(rest.surface.vertices)
+    for key, text in (("name", deformed.name), ("kind", deformed.kind.value), ("frame", frame)):
+        surface.field_data[key] = [_escaped(text)]
+    return surface
+
+
+def labelled_tets(tets: DeformedTets) -> Any:
+    """The deformed tetrahedra as UnstructuredGrid.
+
+    Cells carry ``tissue`` (an index) and ``volume_ratio`` (deformed over rest; zero or below where inverted); points
+    carry ``displacement_mm`` and ``rest_position_mm``. For each tissue a field array, named as its surface files are,
+    holds its index and the dimension 3. So do Gmsh and meshio name numbers; text would keep meshio from reading the
+    file, and VTK escapes no name.
+    """
+    import pyvista as pv
+
+    mesh = tets.rest.mesh
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: np.array(mesh.tets)}, np.array(tets.vertices))
+    grid.cell_data["tissue"] = np.array(tets.rest.tissue_of_tet)
+    grid.cell_data["volume_ratio"] = signed_volumes(tets.vertices, mesh.tets) / signed_volumes(mesh.vertices, mesh.tets)
+    grid.point_data["displacement_mm"] = tets.vertices - mesh.vertices
+    grid.point_data["rest_position_mm"] = np.array(mesh.vertices)
+    for index, safe in enumerate(file_names(tets.rest.names).values()):
+        grid.field_data[_escaped(safe)] = np.array([index, _SOLID], dtype=np.int64)
+    return grid
+
+
+def _write_states(folder: Path, states: Iterable[State], *, names: Mapping[str, str]) -> None:
+    """A folder of surfaces for each state, numbered from 01, and a table of the share of the way at which each is."""
+    lines = ["state,share_of_the_way"]
+    for number, state in enumerate(states, start=1):
+        place = folder / f"{number:02d}"
+        place.mkdir(parents=True)
+        for tissue in state.anatomy:
+            (place / f"{names[tissue.name]}.ply").write_bytes(ply_bytes(tissue.surface))
+        lines.append(f"{number:02d},{state.at!r}")
+    if len(lines) > 1:
+        (folder / "states.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json) -> tuple[Path, ...]:
+    """Fill a new folder, add the report that lists its files, and put it in place."""
+    check_writable(folder)
+    with _replacing(_resolved(folder)) as build:
+        fill(build)
+        others = sorted(path.relative_to(build).as_posix() for path in build.rglob("*") if path.is_file())
+        files = [REPORT_JSON, *others]
+        text = json.dumps({**report, "files": files}, indent=2, allow_nan=False, ensure_ascii=False)
+        # a path that is no text is escaped, as JSON does
+        (build / REPORT_JSON).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+    return tuple(folder / name for name in files)
+
+
+@contextmanager
+def _replacing(target: Path) -> Iterator[Path]:
+    """A new folder beside the target that takes its place when all went well, and vanishes when not."""
+    home = _existing_parent(target)
+    build = home / f".{target.name}.partial-{uuid.uuid4().hex}"
+    build.mkdir()
+    try:
+        yield build
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists():
+            _swap(build, target)
+        else:
+            build.rename(target)
+    except BaseException:
+        shutil.rmtree(build, ignore_errors=True)
+        raise
+
+
+def _swap(build: Path, target: Path) -> None:
+    """Put a new folder in the place of a former run, carrying over what that run did not write."""
+    ours = _former_files(target, target) if any(target.iterdir()) else frozenset()
+    former = target.with_name(f".{target.name}.former-{uuid.uuid4().hex}")
+    target.rename(former)
+    try:
+        build.rename(target)
+    except BaseException:
+        former.rename(target)
+        raise
+    for path in sorted(former.rglob("*")):
+        name = path.relative_to(former)
+        kept = target / name
+        if path.is_dir() and not path.is_symlink():
+            if not any(path.iterdir()) and not kept.exists():
+                kept.mkdir(parents=True)
+        elif name.as_posix() not in ours and not kept.exists():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            path.rename(kept)
+    shutil.rmtree(former)
+
+
+def _former_files(target: Path, folder: Path) -> frozenset[str]:
+    """The files that a former run wrote into a folder that is not empty."""
+    try:
+        former = json.loads((target / REPORT_JSON).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        former = None
+    if not isinstance(former, dict) or "schema_version" not in former or not isinstance(former.get("files"), list):
+        raise InputError(
+            f"the output folder {folder} is not empty and holds no {REPORT_JSON} of a former run; name another "
+            "folder, or empty this one"
+        )
+    return frozenset(str(name) for name in former["files"] if not PurePosixPath(str(name)).is_absolute())
+
+
+def _existing_parent(target: Path) -> Path:
+    """The nearest folder above that exists; a file in its place is refused by whoever creates beneath it."""
+    return next((parent for parent in target.parents if parent.exists()), Path(target.anchor))
+
+
+def _resolved(folder: Path) -> Path:
+    return Path(os.path.realpath(folder))
+
+
+def _escaped(text: str) -> str:
+    """The text in ASCII, as VTK needs it; ``unicode_escape`` brings it back."""
+    return text.encode("unicode_escape").decode("ascii")
+
+
+def _plain_name(name: str) -> str:
+    """Letters, digits, "-", "_" and "." only, no dots in front or behind, not too long, no device of Windows."""
+    normal = unicodedata.normalize("NFC", name)
+    kept = "".join(c if c.isalnum() or c in "-_." else " " for c in normal)
+    plain = "_".join(kept.split()).strip(".")
+    plain = plain.encode("utf-8")[:_NAME_BYTES].decode("utf-8", "ignore").strip(".") or "unnamed"
+    return f"_{plain}" if plain.split(".")[0].upper() in _RESERVED else plain
+
+
+def _save(dataset: Any, path: Path) -> None:
+    """Save a VTK dataset; VTK reports a full disk on the screen alone, so the end of the file is looked at."""
+    dataset.save(path, binary=True)
+    whole = path.is_file() and path.read_bytes()[-32:].rstrip().endswith(b"</VTKFile>")
+    if not whole:
+        raise OSError(f"{path.name} was not written whole; is the disk full?")

@@ -1,0 +1,346 @@
+"""A motion on disk: makes what is missing in worker processes, writes report, tables and series, reads frames back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from musclefit._version import __version__
+from musclefit.anatomy.model import Anatomy
+from musclefit.errors import InputError
+from musclefit.io.formats.motions import read_motion
+from musclefit.io.formats.vtk_series import collection
+from musclefit.io.provenance import versions
+from musclefit.io.sequence_frames import (
+    SURFACES,
+    StoredFrame,
+    clear_partial,
+    frame_key,
+    read_frame,
+    write_atomically,
+)
+from musclefit.pipeline.deformers import least_steps
+from musclefit.pipeline.retarget import settings_of
+from musclefit.pipeline.sequence import check_pose, posed_job, require_motion
+from musclefit.progress import Progress, Silent
+from musclefit.report.sequence import (
+    MADE,
+    BetweenSummary,
+    FrameSummary,
+    SequenceReport,
+    measures_table,
+    sequence_to_json,
+)
+from musclefit.rig.job import Job
+from musclefit.rig.motion import Interpolation, Motion, Pose
+from musclefit.rig.settings import JointDrive, TransformDrive
+from musclefit.rig.transforms import BoneTransforms
+from musclefit.workflows.sequence_tasks import examine, make, prepare, read_between
+from musclefit.workflows.worker_pool import Pool
+
+PLAN, SERIES, MEASURES, REPORT_JSON = "sequence.json", "sequence.pvd", "muscles.csv", "report.json"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SequencePlan:
+    """What a sequence is to be.
+
+    Parameters
+    ----------
+    job : Job
+        Driven by joints or transforms.
+    motion : Motion or BoneTransforms
+        Keyframes of the joints, or the job's own transforms.
+    frames : int
+        0 for transforms at their file's own times.
+    interpolation : Interpolation
+        Of keyframes; transforms are joined by screws.
+    """
+
+    job: Job
+    motion: Motion | BoneTransforms
+    frames: int
+    interpolation: Interpolation = Interpolation.CUBIC
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """The frames' poses.
+
+        Raises
+        ------
+        InputError
+            Fewer than two frames, or neither joints nor transforms drive the job.
+        RigError
+            A coordinate that no joint has, or an angle beyond its limits.
+        """
+        require_motion(self.job)
+        if isinstance(self.motion, BoneTransforms):
+            return self.motion.frames(self.frames)
+        poses = self.motion.frames(self.frames, interpolation=self.interpolation)
+        for pose in poses:
+            check_pose(self.job, pose)
+        return poses
+
+    @property
+    def resampling(self) -> str:
+        """How frames are made of the keyframes, in words."""
+        if isinstance(self.motion, BoneTransforms):
+            return self.motion.resampling_in_words(self.frames)
+        return self.motion.resampling_in_words(self.frames, interpolation=self.interpolation)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FrameOnDisk:
+    """A frame of a sequence that was read back: its summary, and its anatomy when asked for."""
+
+    stored: StoredFrame
+    rest: Anatomy
+
+    @property
+    def summary(self) -> FrameSummary:
+        """Pose, checks and measures."""
+        return self.stored.summary
+
+    def anatomy(self) -> Anatomy:
+        """The given triangles in the pose, double precision.
+
+        Raises
+        ------
+        InputError
+            The frame was refused or failed.
+        """
+        if self.summary.outcome != MADE:
+            raise InputError(f"frame {self.summary.number} has no anatomy: {self.summary.problem}")
+        return self.rest.with_vertices(self.stored.vertices())
+
+
+def planned(
+    job: Job, *, motion: str | Path | None = None, frames: int = 0, interpolation: Interpolation | None = None
+) -> SequencePlan:
+    """The sequence that a rig describes, with another motion, other frames or another interpolation where given.
+
+    Raises
+    ------
+    InputError
+        Neither joints nor transforms drive the rig; joints whose motion neither it nor the caller names, or transforms
+        and another motion or interpolation; or as `read_motion`.
+    """
+    require_motion(job)
+    drive = job.rig.drive
+    if job.transforms is not None and isinstance(drive, TransformDrive):
+        if motion or interpolation:
+            what = f"the motion {motion}" if motion else f"the interpolation {interpolation}"
+            raise InputError(
+                f"{job.source}: {what} has no effect: the rig follows drive.transforms, along screws between their "
+                "times; leave it out, or set drive.transforms"
+            )
+        return SequencePlan(job, job.transforms, frames or drive.frames)
+    assert isinstance(drive, JointDrive)
+    keyframes = motion or drive.motion
+    if not keyframes:
+        raise InputError(f"{job.source}: drive.motion names no keyframes; add it, or give a CSV after the rig")
+    return SequencePlan(job, read_motion(keyframes), frames or drive.frames, interpolation or drive.interpolation)
+
+
+def run_sequence(
+    plan: SequencePlan, folder: str | Path, *, workers: int = 0, between: bool = True, progress: Progress | None = None
+) -> SequenceReport:
+    """Make the frames of a motion that a folder does not hold yet, then report on all of them.
+
+    Each frame is made from rest alone, in one of ``workers`` processes with one thread each (or in this one), and
+    written whole or not at all. Run again after an interruption, frames that are there are verified by hash and kept;
+    one that was changed, or made with other settings, is made again.
+
+    Parameters
+    ----------
+    plan : SequencePlan
+    folder : path
+        New, empty, or of the same sequence.
+    workers : int
+        0 for this process. A script that asks for more must start its work inside of ``if __name__ == "__main__":``.
+    between : bool
+        Whether to examine what lies between frames.
+
+    Returns
+    -------
+    SequenceReport
+        Also as ``report.json``, with ``muscles.csv`` and ``sequence.pvd`` beside it.
+
+    Raises
+    ------
+    InputError
+        The folder holds something else or another sequence, or what `SequencePlan.poses` refuses.
+    """
+    folder, progress, poses = Path(folder), progress or Silent(), plan.poses
+    if workers < 0:
+        raise InputError(f"found {workers} workers; expected at least 1, or 0 for this process")
+    _claim(folder, plan)
+    clear_partial(folder)
+    keys = [frame_key(plan.job, pose) for pose in poses]
+    missing = [p.number for p in poses if isinstance(read_frame(folder, p.number, key=keys[p.number]), str)]
+    cpu_s = {"frames": 0.0, "between frames": 0.0}
+    steps = [least_steps(posed_job(plan.job, pose)) for pose in poses]
+    missing = longest_first(missing, steps)
+    with Pool(workers, prepare=prepare, given=(plan.job, poses, folder.resolve())) as pool:
+        cpu_s["frames"] = _run(pool, make, missing, "frames", progress, done=len(poses) - len(missing))
+        stored = [_require(read_frame(folder, p.number, key=keys[p.number]), p) for p in poses]
+        if between:
+            asked = [k for k in range(len(poses) - 1) if all(stored[j].vertices_sha256 for j in (k, k + 1))]
+            todo = [k for k in asked if (read := read_between(folder, k)) is None or read.problem]
+            todo = longest_first(todo, steps)
+            cpu_s["between frames"] = _run(pool, examine, todo, "between frames", progress, done=len(asked) - len(todo))
+    summaries = tuple(frame.summary for frame in stored)
+    report = SequenceReport(
+        title=plan.job.rig.title,
+        resampling=plan.resampling,
+        frames=summaries,
+        between=_between(folder, summaries) if between else (),
+        limits={k: None if v is None else float(v) for k, v in plan.job.rig.limits.numbers.items()},
+        cpu_s={name: round(seconds, 2) for name, seconds in cpu_s.items()},
+        provenance={
+            "versions": versions(),
+            "input_sha256": dict(plan.job.hashes),
+            "settings": _plain(settings_of(plan.job)),
+            "motion": plan.motion.source,
+            "workers": workers,
+        },
+    )
+    _write_tables(folder, report, stored)
+    return report
+
+
+def read_frames(job: Job, folder: str | Path) -> Iterator[FrameOnDisk]:
+    """The frames of a sequence on disk, in order of time.
+
+    Parameters
+    ----------
+    job : Job
+        The rig that made it.
+    folder : path
+
+    Raises
+    ------
+    InputError
+        The folder holds no sequence, a frame is missing or was changed, or it was made of another rig.
+    """
+    folder = Path(folder)
+    plan = _read_plan(folder)
+    if plan["inputs"] != dict(job.hashes):
+        raise InputError(f"{folder} was made of other files than {job.source} names now; run the sequence again")
+    for number in range(plan["frames"]):
+        stored = read_frame(folder, number, key="")
+        if isinstance(stored, str):
+            raise InputError(f"{folder}: frame {number}: {stored}; run the sequence again, it keeps the others")
+        yield FrameOnDisk(stored, job.anatomy)
+
+
+def longest_first(numbers: Sequence[int], steps: Sequence[int]) -> list[int]:
+    """Tasks in the order that keeps workers from waiting for the last: by the steps of their frames' marches, falling.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Of frames.
+    steps : sequence of int
+        Of each frame of the sequence, at least.
+    """
+    return sorted(numbers, key=lambda number: -steps[number])
+
+
+def _run(
+    pool: Pool, task: Callable[[int], float], numbers: Sequence[int], title: str, progress: Progress, *, done: int
+) -> float:
+    """Run a task for each number, ticking; the CPU seconds of all."""
+    total, seconds = done + len(numbers), 0.0
+    with progress.stage(title) as tick:
+        tick(done / max(total, 1))
+        for _, took in pool.run(task, numbers):
+            done, seconds = done + 1, seconds + took
+            tick(done / total)
+    return seconds
+
+
+def _between(folder: Path, frames: Sequence[FrameSummary]) -> tuple[BetweenSummary, ...]:
+    found = []
+    for first, second in pairwise(frames):
+        gone = [frame for frame in (first, second) if frame.outcome != MADE]
+        if gone:
+            problem = f"frame {gone[0].number} was {gone[0].outcome}"
+            found.append(BetweenSummary(first.number, second.number, problem=problem))
+        else:
+            read = read_between(folder, first.number)
+            found.append(read or BetweenSummary(first.number, second.number, problem="not written whole"))
+    return tuple(found)
+
+
+def _require(frame: StoredFrame | str, pose: Pose) -> StoredFrame:
+    if isinstance(frame, str):
+        raise OSError(f"frame {pose.number} was not written whole ({frame}); is the disk full?")
+    return frame
+
+
+def _claim(folder: Path, plan: SequencePlan) -> None:
+    """Make the folder this sequence's, or raise InputError where it is something else's."""
+    settings = json.loads(json.dumps(_plain(settings_of(plan.job)), default=str))
+    ours = {
+        "musclefit": __version__,
+        "rig": plan.job.source,
+        "motion": plan.motion.source,
+        "motion_sha256": plan.motion.digest(),
+        "interpolation": "screw" if isinstance(plan.motion, BoneTransforms) else plan.interpolation.value,
+        "frames": len(plan.poses),
+        "settings": settings,
+        "inputs": dict(plan.job.hashes),
+    }
+    if folder.is_dir() and any(folder.iterdir()):
+        known = _read_plan(folder)
+        changed = [key for key in ("interpolation", "frames", "motion_sha256") if known.get(key) != ours[key]]
+        if changed:
+            raise InputError(
+                f"{folder} holds another sequence (differing: {', '.join(changed)}); name another folder, or remove it"
+            )
+    elif folder.exists() and not folder.is_dir():
+        raise InputError(f"the output folder {folder} is a file; name a folder that does not exist yet")
+    write_atomically(folder / PLAN, json.dumps(ours, indent=1))
+
+
+def _read_plan(folder: Path) -> dict[str, Any]:
+    try:
+        plan = json.loads((folder / PLAN).read_text(encoding="utf-8"))
+        if {"frames", "interpolation", "inputs"} <= plan.keys():
+            return plan  # type: ignore[no-any-return]
+    except (OSError, ValueError, AttributeError):
+        pass
+    raise InputError(f"{folder} holds no {PLAN} of a sequence; name a new folder, or that of a sequence")
+
+
+def _write_tables(folder: Path, report: SequenceReport, stored: Sequence[StoredFrame]) -> None:
+    write_atomically(
+        folder / SERIES,
+        collection(
+            [
+                (frame.summary.time_s, PurePosixPath(frame.folder.relative_to(folder).as_posix()) / SURFACES)
+                for frame in stored
+                if frame.vertices_sha256
+            ]
+        ),
+    )
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(measures_table(report.made))
+    write_atomically(folder / MEASURES, text.getvalue())
+    write_atomically(folder / REPORT_JSON, json.dumps(sequence_to_json(report), indent=1, allow_nan=False, default=str))
+
+
+def _plain(value: Any) -> Any:
+    """Settings as JSON values."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

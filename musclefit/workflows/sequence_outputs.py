@@ -1,0 +1,103 @@
+"""What people look at: page, film and animated model of a sequence; measures nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from musclefit.anatomy.model import Anatomy
+from musclefit.figures.colours import tissue_colours
+from musclefit.figures.films import contact_sheet, gif, motion_pictures, mp4, mp4_problem
+from musclefit.figures.rendering import rendering_problem
+from musclefit.io.formats.glb import animated_glb
+from musclefit.io.sequence_frames import write_atomically, write_bytes_atomically
+from musclefit.progress import Progress, Silent
+from musclefit.report.sequence import FrameSummary, SequenceReport
+from musclefit.report.sequence_html import render_sequence
+from musclefit.workflows.sequence import SequencePlan, read_frames
+
+PAGE, FILM_GIF, FILM_MP4, MODEL = "report.html", "motion.gif", "motion.mp4", "motion.glb"
+
+SHEET_FRAMES = 12
+"""Frames shown beside each other on the page."""
+
+FILM_FRAME_S = 0.08
+"""Shortest time that a film shows a frame; quick motions are shown slower than they are."""
+
+
+def write_outputs(
+    plan: SequencePlan, folder: Path, report: SequenceReport, *, film: bool = True, progress: Progress | None = None
+) -> tuple[Path, ...]:
+    """Write page, film (MP4 where that can be made, else GIF) and animated model of a sequence into its folder.
+
+    Parameters
+    ----------
+    plan : SequencePlan
+    folder : Path
+        Of `run_sequence`.
+    report : SequenceReport
+        Of `run_sequence`.
+    film : bool
+        Whether to draw the frames: about a second each.
+
+    Returns
+    -------
+    tuple of Path
+    """
+    progress = progress or Silent()
+    kept = [(f.summary, f.anatomy()) for f in read_frames(plan.job, folder) if f.summary.outcome == "made"]
+    written: list[Path] = []
+    pictures: dict[str, tuple[str, bytes]] = {}
+    problems = "" if kept else "No frame was made."
+    if kept:
+        written.append(_write_model(folder, kept, progress))
+    if kept and film:
+        problems = rendering_problem()
+        if not problems:
+            drawn = _draw(kept, progress)
+            seconds_each = max(FILM_FRAME_S, _step_s(kept))
+            data = gif(drawn, seconds_each=seconds_each)
+            written.append(write_bytes_atomically(folder / FILM_GIF, data))
+            problems = mp4_problem()
+            if not problems:
+                written.append(write_bytes_atomically(folder / FILM_MP4, mp4(drawn, seconds_each=seconds_each)))
+            slower = seconds_each / _step_s(kept)
+            said = "" if slower < 1.05 else f", {slower:.3g} times slower than it is"
+            pictures[f"The motion{said}"] = ("image/gif", data)
+            sheet = [drawn[k] for k in _even(len(drawn), SHEET_FRAMES)]
+            columns = min(len(sheet), 6)
+            pictures["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
+    page = render_sequence(report, pictures=pictures, problems=problems)
+    write_atomically(folder / PAGE, page)
+    return (folder / PAGE, *written)
+
+
+def _write_model(folder: Path, kept: list[tuple[FrameSummary, Anatomy]], progress: Progress) -> Path:
+    with progress.stage("animated model"):
+        frames, times = [anatomy for _, anatomy in kept], [summary.time_s for summary, _ in kept]
+        return write_bytes_atomically(folder / MODEL, animated_glb(frames, times, colours=tissue_colours(frames[0])))
+
+
+def _draw(kept: list[tuple[FrameSummary, Anatomy]], progress: Progress) -> list[bytes]:
+    titles = [_title(summary) for summary, _ in kept]
+    drawn = []
+    with progress.stage("film") as tick:
+        for picture in motion_pictures([anatomy for _, anatomy in kept], titles):
+            drawn.append(picture)
+            tick(len(drawn) / len(kept))
+    return drawn
+
+
+def _title(summary: FrameSummary) -> str:
+    pose = ", ".join(f"{name} {angle:.0f}°" for name, angle in summary.pose_deg.items())
+    return f"{summary.time_s:.2f} s\n{pose}"
+
+
+def _step_s(kept: list[tuple[FrameSummary, Anatomy]]) -> float:
+    times = [summary.time_s for summary, _ in kept]
+    return float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+
+
+def _even(count: int, wanted: int) -> list[int]:
+    return sorted({round(k) for k in np.linspace(0, count - 1, min(count, wanted)).tolist()})

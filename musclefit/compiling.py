@@ -20,6 +20,7 @@ from functools import cache, wraps
 from hashlib import sha256
 from inspect import getfile, signature
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numba
@@ -164,6 +165,27 @@ def source_stamp(path: Path) -> str:
     return told.hexdigest()
 
 
+def fingerprint(value: Any) -> str:
+    """What a function is made of, the same in every process: its name and source, and all that its closure holds.
+
+    Of sources outside musclefit the file alone counts, not what it imports.
+    """
+    function = getattr(value, "py_func", value)
+    if not isinstance(function, FunctionType):
+        return sha256(repr(value).encode()).hexdigest()
+    path = Path(getfile(function)).resolve()
+    told = sha256(f"{function.__module__}.{function.__qualname__}".encode())
+    told.update((source_stamp(path) if path.is_relative_to(_PACKAGE) else _file_stamp(path)).encode())
+    for cell in function.__closure__ or ():
+        told.update(fingerprint(cell.cell_contents).encode())
+    return told.hexdigest()
+
+
+@cache
+def _file_stamp(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest() if path.is_file() else str(path)
+
+
 class _Place(caching._CacheLocator):  # type: ignore[misc]
     """Where one function's code is kept; needs no folder beside its source, nor the time when that was written."""
 
@@ -194,6 +216,11 @@ class _Code(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 class _Kept(caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Code
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        """As Numba's, which knows compiled functions in a closure by an identity that no other process shares."""
+        told = sha256(self._py_func.__code__.co_code).hexdigest(), fingerprint(self._py_func)
+        return sig, codegen.magic_tuple(), told
 
 
 class SharedCache(caching._Cache):  # type: ignore[misc]
@@ -276,7 +303,8 @@ class SharedCache(caching._Cache):  # type: ignore[misc]
     def _make_room(self) -> None:
         """Remove what was compiled from sources older than the latest few."""
         files = self._files()
-        name = Path(getfile(self._function)).stem + "." + self._function.__qualname__
+        qualified = self._function.__qualname__.replace("<", "").replace(">", "")
+        name = f"{Path(getfile(self._function)).stem}.{qualified}"
         indices = sorted(Path(files.cache_path).glob(f"{name}-*.nbi"), key=lambda path: path.stat().st_mtime)
         for index in indices[:-KEPT_SOURCES]:
             for file in index.parent.glob(f"{index.stem}.*"):

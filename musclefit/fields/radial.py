@@ -9,11 +9,11 @@ import numpy as np
 
 from musclefit.errors import FieldError
 from musclefit.fields.enclosures import radial as enclosures
-from musclefit.fields.evaluation import lane_sums
-from musclefit.fields.evaluation import radial_sums as loops
+from musclefit.fields.evaluation.lane_sums import LaneSums, lane_sums
 from musclefit.fields.evaluation.neighbours import Cells
+from musclefit.fields.evaluation.radial_sums import TINY, RadialSums, radial_sums
 from musclefit.fields.fitting.saddle import SaddleFactor
-from musclefit.fields.kernels import KERNELS, RadialKernel
+from musclefit.fields.kernels import RadialKernel, kernel_named
 from musclefit.geometry.arrays import Float, Gradients, Points, frozen
 
 
@@ -57,13 +57,14 @@ class RadialField:
     def displacement(self, points: Points) -> Points:
         """(N, n) displacements at (N, n) points, mm."""
         n = self._dimension_of(points)
-        if KERNELS[self.kernel].in_lanes:
+        lanes = _lane_sums(kernel_named(self.kernel))
+        if lanes is not None:
             values = np.empty((len(points), 3))
-            lane_sums.values_in_lanes(*self._sum_in_lanes(points), values)
+            lanes.values(*self._sum_in_lanes(points), values)
             return np.ascontiguousarray(values[:, :n])
         where = self._local(points)
         values = np.zeros_like(where)
-        loops.radial_sum(*self._sum_of(where), values)
+        _sums(kernel_named(self.kernel)).values(*self._sum_of(where), values)
         return self._polynomial(points) + values[:, :n]
 
     def gradient(self, points: Points) -> Gradients:
@@ -73,13 +74,14 @@ class RadialField:
     def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
         """Both in one pass."""
         n = self._dimension_of(points)
-        if KERNELS[self.kernel].in_lanes:
+        lanes = _lane_sums(kernel_named(self.kernel))
+        if lanes is not None:
             values, gradients = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
-            lane_sums.gradients_in_lanes(*self._sum_in_lanes(points), values, gradients)
+            lanes.gradients(*self._sum_in_lanes(points), values, gradients)
             return np.ascontiguousarray(values[:, :n]), np.ascontiguousarray(gradients[:, :n, :n])
         where = self._local(points)
         sums = np.zeros((len(where), 12))
-        loops.radial_sum_with_gradient(*self._sum_of(where), sums)
+        _sums(kernel_named(self.kernel)).gradients(*self._sum_of(where), sums)
         gradients = sums[:, 3:].reshape(-1, 3, 3)
         return self._polynomial(points) + sums[:, :n], self.linear + gradients[:, :n, :n]
 
@@ -159,11 +161,10 @@ class RadialField:
 
     def _sum_of(self, where: Points) -> tuple[Any, ...]:
         """The arguments of a loop over points already local to the origin."""
-        kernel = KERNELS[self.kernel]
+        kernel = kernel_named(self.kernel)
         local = _in_space(self.centres - self.origin)
         cells = Cells.of(local, width=self.scale) if kernel.compact else Cells.single(len(local))
         return (
-            kernel.code,
             self.scale,
             where,
             np.ascontiguousarray(local[cells.order].T),
@@ -176,15 +177,15 @@ class RadialField:
 
     def _sum_in_lanes(self, points: Points) -> tuple[Any, ...]:
         """The arguments of a loop in lanes."""
-        kernel = KERNELS[self.kernel]
+        kernel = kernel_named(self.kernel)
         n = len(self.origin)
         affine = np.zeros((4, 3))
         affine[0, :n], affine[1 : n + 1, :n] = self.translation, self.linear
         weights = _in_space(self.weights)
         sources = np.hstack([_in_space(self.centres - self.origin), weights, 3.0 * weights])
-        soft = self.scale**2 if kernel.scaled else lane_sums.TINY
+        soft = self.scale**2 if kernel.scaled else TINY
         where = np.ascontiguousarray(_in_space(points), dtype=np.float64)
-        return kernel.code, soft, where, _in_space(self.origin[None])[0], affine, sources
+        return soft, where, _in_space(self.origin[None])[0], affine, sources
 
     def _local(self, points: Points) -> Points:
         return np.ascontiguousarray(_in_space(points - self.origin))
@@ -214,8 +215,7 @@ class RadialBackend:
     smoothing: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.kernel not in KERNELS:
-            raise FieldError(f"no kernel is named {self.kernel!r}; there are: {', '.join(KERNELS)}")
+        kernel_named(self.kernel)
         if not self.scale > 0.0 or not np.isfinite(self.scale):
             raise FieldError(f"the kernel's scale is {self.scale} mm; it must be a positive number")
         if not self.smoothing >= 0.0:
@@ -234,7 +234,7 @@ class RadialBackend:
     def factor(self, at: Points) -> RadialFactor:
         """The factorised system of one configuration of handles, to be reused for many displacements."""
         at = np.ascontiguousarray(at, dtype=np.float64)
-        kernel = KERNELS[self.kernel]
+        kernel = kernel_named(self.kernel)
         m, n = at.shape
         if kernel.isochoric and n != 3:
             raise FieldError(f"kernel {self.kernel!r} needs points in space; these have {n} coordinates")
@@ -243,8 +243,7 @@ class RadialBackend:
         extent = float(np.abs(local).max()) or 1.0
         matrix = np.empty((kernel.components * m,) * 2)
         spatial = np.ascontiguousarray(_in_space(local))
-        fill = loops.isochoric_matrix if kernel.isochoric else loops.scalar_matrix
-        fill(kernel.code, self.scale, spatial, np.ascontiguousarray(spatial.T), matrix)
+        _sums(kernel).matrix(self.scale, spatial, np.ascontiguousarray(spatial.T), matrix)
         if self.smoothing:
             matrix[np.diag_indices(len(matrix))] += self.smoothing
         polynomials = _polynomials(local / extent, kernel)
@@ -263,7 +262,7 @@ class RadialFactor:
 
     def field(self, displacements: Points) -> RadialField:
         """The field for (m, n) displacements, mm."""
-        kernel = KERNELS[self.backend.kernel]
+        kernel = kernel_named(self.backend.kernel)
         n = self.at.shape[1]
         isochoric = kernel.isochoric
         data = np.ascontiguousarray(displacements, dtype=np.float64)
@@ -288,6 +287,14 @@ class RadialFactor:
             polynomial_rank=self.saddle.rank,
             polynomial_terms=terms,
         )
+
+
+def _sums(kernel: RadialKernel) -> RadialSums:
+    return radial_sums(kernel.formula, isochoric=kernel.isochoric)
+
+
+def _lane_sums(kernel: RadialKernel) -> LaneSums | None:
+    return None if kernel.lanes is None else lane_sums(kernel.lanes.values, kernel.lanes.gradients)
 
 
 def _traceless_basis() -> Float:

@@ -39,7 +39,7 @@ def said(process: subprocess.Popen[str]) -> str:
 def test_what_one_process_compiles_another_finds(tmp_path):
     assert said(begun(tmp_path)) == "0 1"
     assert said(begun(tmp_path)) == "1 0"
-    assert list((tmp_path / "compiled" / "fields").glob("terms.rounding_share-*.nbc"))
+    assert list((tmp_path / "compiled" / "fields" / "enclosures").glob("source_terms.rounding_share-*.nbc"))
 
 
 def test_a_damaged_file_is_compiled_anew(tmp_path):
@@ -59,8 +59,8 @@ def test_a_folder_that_cannot_be_made_is_done_without(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such locks")
 def test_a_process_waits_for_another_that_compiles_the_same(tmp_path):
     said(begun(tmp_path))
-    (lock,) = (tmp_path / "compiled" / "fields").glob("terms.rounding_share-*.lock")
-    kept = {path: path.read_bytes() for path in lock.parent.glob("terms.rounding_share-*.nb?")}
+    (lock,) = (tmp_path / "compiled" / "fields" / "enclosures").glob("source_terms.rounding_share-*.lock")
+    kept = {path: path.read_bytes() for path in lock.parent.glob("source_terms.rounding_share-*.nb?")}
     for path in kept:
         path.unlink()
     with lock.open("ab") as held:

@@ -1,9 +1,11 @@
-"""Sums over all sources, box by box, of what `terms` gives for each: gradients and derivatives, and bounds beside.
+"""Sums over all sources, box by box, of what a kernel's terms give: gradients, derivatives, and bounds beside.
 
-Nothing is reassociated or contracted; see `bounds` for what that is worth.
+Nothing is reassociated or contracted; see `radial_sums` for what that is worth.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from musclefit.fields.enclosures.source_terms import (
     R2,
     STRAIN,
     SUMS,
+    WHOLE,
     B,
     C,
     D,
@@ -23,8 +26,6 @@ from musclefit.fields.enclosures.source_terms import (
     X,
     Y,
     Z,
-    isochoric_terms,
-    scalar_terms,
 )
 
 PARTS = 63
@@ -251,43 +252,67 @@ def _offsets(x, y, z, places, block):
 
 
 @njit(cache=True, error_model="numpy")
-def sum_block(code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, h):
-    """Sums (PARTS, LANES) over the sources: ``boxes`` (3, LANES) local centres, ``h`` half diagonals with blur."""
-    block = np.zeros(SUMS + PARTS * LANES)
-    places = np.empty(3 * LANES)
-    for i in range(LANES):  # assigning slices takes seconds to compile
-        block[H + i] = h[i]
-        places[i], places[LANES + i], places[2 * LANES + i] = boxes[0, i], boxes[1, i], boxes[2, i]
-    middle, radius = _enclosing_ball(boxes, h)
-    for j in range(sizes.size):
-        x, y, z = sources[0, j], sources[1, j], sources[2, j]
-        if reach < np.inf:  # compact: no box of the block within the support
-            away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2
-            if away * (1.0 - 1e-12) > (radius + reach) ** 2:
-                continue
-        _offsets(x, y, z, places, block)
-        u, v, w = weights[0, j], weights[1, j], weights[2, j]
-        if isochoric:
-            isochoric_terms(code, scale, extent, table, block)
+def _whole_is_strain(block):
+    """A scalar kernel's gradient is a product of two vectors: its whole remainder is that of the strain."""
+    for i in range(LANES):
+        block[WHOLE + i] = block[STRAIN + i]
+
+
+def block_sums(terms: Any, *, isochoric: bool, second_order: bool) -> Any:
+    """A kernel's sums (PARTS, LANES) over the sources: ``boxes`` (3, LANES) local centres, ``h`` half diagonals with
+    blur; see `musclefit.fields.kernels.model.Enclosure`."""
+
+    if isochoric:
+
+        @njit(error_model="numpy")
+        def add(u, v, w, block):
             _add_isochoric(u, v, w, block)
             _add_isochoric_third(u, v, w, block)
-        else:
-            scalar_terms(code, scale, extent, table, block)
+    elif second_order:
+
+        @njit(error_model="numpy")
+        def add(u, v, w, block):
+            _whole_is_strain(block)
             _add_scalar(u, v, w, block)
-            if code <= 2:
-                _add_scalar_third(u, v, w, block)
-        _add_remainders(sizes[j], block)
-    sums, parts = np.empty((PARTS, LANES)), 0.0
-    for k in range(PARTS):
-        for i in range(LANES):
-            sums[k, i] = block[SUMS + k * LANES + i]
-    for k in range(9):
-        parts += abs(linear[k // 3, k % 3])
-    for i in range(LANES):
-        sums[29, i] += parts
+            _add_scalar_third(u, v, w, block)
+    else:
+
+        @njit(error_model="numpy")
+        def add(u, v, w, block):
+            _whole_is_strain(block)
+            _add_scalar(u, v, w, block)
+
+    @njit(error_model="numpy")
+    def sum_block(scale, extent, table, reach, sources, weights, sizes, linear, boxes, h):
+        block = np.zeros(SUMS + PARTS * LANES)
+        places = np.empty(3 * LANES)
+        for i in range(LANES):  # assigning slices takes seconds to compile
+            block[H + i] = h[i]
+            places[i], places[LANES + i], places[2 * LANES + i] = boxes[0, i], boxes[1, i], boxes[2, i]
+        middle, radius = _enclosing_ball(boxes, h)
+        for j in range(sizes.size):
+            x, y, z = sources[0, j], sources[1, j], sources[2, j]
+            if reach < np.inf:  # compact: no box of the block within the support
+                away = (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2
+                if away * (1.0 - 1e-12) > (radius + reach) ** 2:
+                    continue
+            _offsets(x, y, z, places, block)
+            terms(scale, extent, table, block)
+            add(weights[0, j], weights[1, j], weights[2, j], block)
+            _add_remainders(sizes[j], block)
+        sums, parts = np.empty((PARTS, LANES)), 0.0
+        for k in range(PARTS):
+            for i in range(LANES):
+                sums[k, i] = block[SUMS + k * LANES + i]
         for k in range(9):
-            sums[k, i] += linear[k // 3, k % 3]
-    return sums
+            parts += abs(linear[k // 3, k % 3])
+        for i in range(LANES):
+            sums[29, i] += parts
+            for k in range(9):
+                sums[k, i] += linear[k // 3, k % 3]
+        return sums
+
+    return sum_block
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,4 +1,4 @@
-r"""Proved bounds of a kernel's derivatives as functions of distance, tabulated once per kernel; it knows no centres.
+r"""Proved bounds of a kernel's derivatives as functions of distance, as tables; it knows neither kernels nor centres.
 
 For a unit weight w at the origin let D(x) = K(x) w and, for a unit direction e,
 
@@ -32,13 +32,10 @@ within c +- s is at most N(c) + sum of s_k N(k-th unit vector).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import lru_cache
-from types import MappingProxyType
+from collections.abc import Callable
 
 import numpy as np
 
-from musclefit.errors import FieldError
 from musclefit.geometry.arrays import Float, frozen
 
 CELLS = 1024
@@ -47,150 +44,87 @@ CELLS = 1024
 ROUNDING = 1.0 + 1e-9
 """Every tabulated bound is enlarged by this, far more than its own rounding."""
 
-EXTENTS: Mapping[int, float] = MappingProxyType({3: 8.0, 4: 16.0, 5: 1.0, 6: 1.0, 23: 1.0})
-"""By kernel code: the distance, in units of the kernel's scale, up to which its table reaches."""
-
 FINE, COARSE = 32, 10
 """Grid angles per quarter turn: for constants, and for every cell of a table."""
 
-Enclosure = tuple[Float, Float]
+Enclosed = tuple[Float, Float]
 """Lower and upper ends."""
 
 
-@lru_cache(maxsize=32)
-def majorants(code: int) -> Float:
-    """(8, cells + 1) falling majorants: N1 to N4 of the strain, then of the whole gradient.
+Chain = tuple[Enclosed, Enclosed, Enclosed, Enclosed, Enclosed]
+"""Enclosures of f_1, f_1 r, f_2 r, f_2 r², f_3 r³ on every cell."""
 
-    Kernels with a table: in units of the kernel's scale; the entry of distance q is number floor(q cells / extent), the
-    last one holds from the extent to infinity. Homogeneous kernels: one column of constants, to be multiplied by the
-    power of the distance that has the unit's dimension (``isochoric-r3-mollified``: of sqrt(r² + scale²)); 0 where
-    r² log r has none, and where N4 is not used.
+
+def constants(n1: float, n2: float, n3: float, n4: float) -> Float:
+    """The table of a homogeneous scalar kernel, whose strain and whole gradient have the same sups: one column.
+
+    Each is to be multiplied by the power of the distance that has the unit's dimension; 0 where there is none.
     """
-    if code in CONSTANTS:
-        return frozen(np.array([*CONSTANTS[code], *CONSTANTS[code]])[:, None] * ROUNDING)
-    if code in CHAINS_AT_ONE:
-        f2, f3, f4, f5, f6 = (_exactly(value) for value in CHAINS_AT_ONE[code])
-        orders = ((f2, f3), (f2, f3, f4), (f3, f4, f5), (f3, f4, f5, f6))
-        return frozen(_isochoric(orders, angles=FINE) * ROUNDING)
-    if code == 21:
-        return frozen(_mollified().max(axis=1, keepdims=True) * ROUNDING)
-    if code not in EXTENTS:
-        raise FieldError(f"the derivatives of kernel number {code} have no proved bounds; give it some in `majorants`")
-    edges = np.linspace(0.0, EXTENTS[code], CELLS + 1)
-    if code == 23:
-        return frozen(_falling(_wendland_c6(edges), (0.0,) * 8) * ROUNDING)
-    f1, f1_r, f2_r, f2_rr, f3_rrr = CHAINS[code](edges)
+    return frozen(np.array([n1, n2, n3, n4, n1, n2, n3, n4])[:, None] * ROUNDING)
+
+
+def isochoric_constants(f2: float, f3: float, f4: float, f5: float, f6: float) -> Float:
+    """The table of a homogeneous isochoric kernel from the chain of its potential at unit distance: one column."""
+    a, b, c, d, e = (_exactly(value) for value in (f2, f3, f4, f5, f6))
+    orders = ((a, b), (a, b, c), (b, c, d), (b, c, d, e))
+    return frozen(isochoric_norms(orders, angles=FINE) * ROUNDING)
+
+
+def falling_constants(norms: Float) -> Float:
+    """One column of the largest of (8, cells) bounds."""
+    return frozen(norms.max(axis=1, keepdims=True) * ROUNDING)
+
+
+def falling_table(norms: Float, *, tail: tuple[float, ...] = (0.0,) * 8) -> Float:
+    """(8, cells + 1) falling majorants from bounds (8, cells) on every cell and those from the extent to infinity."""
+    return frozen(_falling(norms, tail) * ROUNDING)
+
+
+def scalar_table(
+    chain: Callable[[Float], Chain], *, extent: float, tail: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Float:
+    """The table of a scalar kernel with a length of its own.
+
+    Parameters
+    ----------
+    chain : callable
+        Takes the (cells + 1,) edges of the cells, distances in units of the kernel's scale; encloses f_1, f_1 r, f_2 r,
+        f_2 r² and f_3 r³ on every cell.
+    extent : float
+        Where the cells end.
+    tail : (float, float, float)
+        N1, N2, N3 from there on; 0 of a kernel that ends there.
+    """
+    f1, f1_r, f2_r, f2_rr, f3_rrr = chain(np.linspace(0.0, extent, CELLS + 1))
     n1, n2, n3 = _size(f1_r), np.maximum(_size(f1), _size(_sum(f1, f2_rr))), _cubic(f2_r, f3_rrr)
     unused = np.zeros_like(n1)
-    tail = (*TAILS.get(code, (0.0, 0.0, 0.0)), 0.0)
-    return frozen(_falling(np.array([n1, n2, n3, unused, n1, n2, n3, unused]), tail * 2) * ROUNDING)
+    return falling_table(np.array([n1, n2, n3, unused, n1, n2, n3, unused]), tail=(*tail, 0.0) * 2)
 
 
-CONSTANTS: Mapping[int, tuple[float, float, float, float]] = MappingProxyType(
-    {
-        0: (1.0, 1.0, 2.0 / np.sqrt(3.0), 3.0),  # N3: |3 c - 3 c³|, N4: |3 - 18 c² + 15 c⁴|
-        1: (0.0, 0.0, 2.0 * np.sqrt(2.0), 6.0),  # N3: |6 c - 4 c³|, N4: |6 - 24 c² + 16 c⁴|
-        2: (3.0, 6.0, 6.0, 9.0),  # N3: |9 c - 3 c³|, N4: |9 - 18 c² + 9 c⁴|
-    }
-)
-"""Homogeneous scalar kernels at unit distance."""
-
-CHAINS_AT_ONE: Mapping[int, tuple[float, ...]] = MappingProxyType(
-    {20: (3.0, -3.0, 9.0, -45.0, 315.0), 22: (-15.0, -15.0, 15.0, -45.0, 225.0)}
-)
-"""f_2 to f_6 of psi = r³ and psi = -r⁵ at unit distance."""
-
-
-def _falling_factor(values: Float) -> Enclosure:
+def falling_factor(values: Float) -> Enclosed:
     """Enclosure on every cell of a function of distance that falls and is not negative, from its values at edges."""
     return values[1:], values[:-1]
 
 
-def _times(*factors: Enclosure, by: float = 1.0) -> Enclosure:
+def times(*factors: Enclosed, by: float = 1.0) -> Enclosed:
     """Product of enclosures that are not negative, and a number."""
     low, high = np.prod([f[0] for f in factors], axis=0), np.prod([f[1] for f in factors], axis=0)
     return (by * low, by * high) if by >= 0.0 else (by * high, by * low)
 
 
-def _sum(a: Enclosure, b: Enclosure) -> Enclosure:
+def _sum(a: Enclosed, b: Enclosed) -> Enclosed:
     return a[0] + b[0], a[1] + b[1]
 
 
-def _size(a: Enclosure) -> Float:
+def _size(a: Enclosed) -> Float:
     return np.maximum(np.abs(a[0]), np.abs(a[1]))
 
 
-def _exactly(value: float) -> Enclosure:
+def _exactly(value: float) -> Enclosed:
     return np.array([value]), np.array([value])
 
 
-Chain = tuple[Enclosure, Enclosure, Enclosure, Enclosure, Enclosure]
-"""Enclosures of f_1, f_1 r, f_2 r, f_2 r², f_3 r³ on every cell."""
-
-
-def _gaussian(q: Float) -> Chain:
-    e, r = _falling_factor(np.exp(-(q**2))), (q[:-1], q[1:])
-    return (
-        _times(e, by=-2.0),
-        _times(e, r, by=-2.0),
-        _times(e, r, by=4.0),
-        _times(e, r, r, by=4.0),
-        _times(e, r, r, r, by=-8.0),
-    )
-
-
-def _inverse_multiquadric(q: Float) -> Chain:
-    f, eta = 1.0 / np.sqrt(1.0 + q**2), q / np.sqrt(1.0 + q**2)  # eta = q f grows
-    f2, f3, r = _falling_factor(f**2), _falling_factor(f**3), (eta[:-1], eta[1:])
-    f4 = _falling_factor(f**4)
-    return (
-        _times(f3, by=-1.0),
-        _times(f2, r, by=-1.0),
-        _times(f4, r, by=3.0),
-        _times(f3, r, r, by=3.0),
-        _times(f4, r, r, r, by=-15.0),
-    )
-
-
-def _wendland_c2(q: Float) -> Chain:
-    u, r, w = _falling_factor(1.0 - q), (q[:-1], q[1:]), _falling_factor(1.0 - q**2)
-    return (
-        _times(u, u, u, by=-20.0),
-        _times(u, u, u, r, by=-20.0),
-        _times(u, u, by=60.0),
-        _times(u, u, r, by=60.0),
-        _times(w, by=-60.0),
-    )
-
-
-def _wendland_c4(q: Float) -> Chain:
-    u, r, w = _falling_factor(1.0 - q), (q[:-1], q[1:]), (5.0 * q[:-1] + 1.0, 5.0 * q[1:] + 1.0)
-    u4 = _times(u, u, u, u)
-    return (
-        _times(u4, u, w, by=-56.0 / 3.0),
-        _times(u4, u, w, r, by=-56.0 / 3.0),
-        _times(u4, r, by=560.0),
-        _times(u4, r, r, by=560.0),
-        _times(u, u, u, r, r, by=-2240.0),
-    )
-
-
-CHAINS: Mapping[int, Callable[[Float], Chain]] = MappingProxyType(
-    {3: _gaussian, 4: _inverse_multiquadric, 5: _wendland_c2, 6: _wendland_c4}
-)
-
-TAILS: Mapping[int, tuple[float, float, float]] = MappingProxyType(
-    {
-        # All of 2 q E, (2 + 4 q²) E, (12 q + 8 q³) E with E = exp(-q²) fall from q = 8 on.
-        3: (16.0 * np.exp(-64.0), 258.0 * np.exp(-64.0), 4192.0 * np.exp(-64.0)),
-        # N1 <= f², N2 <= 2 f³, N3 <= 6 f⁴ with f = (1 + q²)^(-1/2).
-        4: (1.0 / 257.0, 2.0 / 257.0**1.5, 6.0 / 257.0**2),
-    }
-)
-"""N1, N2, N3 from the extent on, of the kernels that do not end there."""
-
-
-def _cubic(f2_r: Enclosure, f3_rrr: Enclosure) -> Float:
+def _cubic(f2_r: Enclosed, f3_rrr: Enclosed) -> Float:
     """Max over c in [0, 1] of |3 a c + b c³|; convex in (a, b), so largest at a corner of their enclosure."""
     values = []
     for a in f2_r:
@@ -207,61 +141,12 @@ def _falling(values: Float, tail: tuple[float, ...]) -> Float:
     return np.ascontiguousarray(np.maximum.accumulate(whole[:, ::-1], axis=1)[:, ::-1])
 
 
-Orders = tuple[tuple[Enclosure, ...], ...]
+Orders = tuple[tuple[Enclosed, ...], ...]
 """Enclosures of (f_2 r, f_3 r³), (f_2, f_3 r², f_4 r⁴), (f_3 r, f_4 r³, f_5 r⁵) and (f_3, f_4 r², f_5 r⁴, f_6 r⁶): all
 that N1 to N4 depend on."""
 
 
-def _mollified() -> Float:
-    """psi = (r² + s²)^(3/2) in units of rho = sqrt(r² + s²): its chain is that of r³ at rho; r / rho is in [0, 1]."""
-    edges = np.linspace(0.0, 1.0, CELLS + 1)
-    r = (edges[:-1], edges[1:])
-    r2 = _times(r, r)
-    r4 = _times(r2, r2)
-    return _isochoric(
-        (
-            (_times(r, by=3.0), _times(r2, r, by=-3.0)),
-            ((np.full(CELLS, 3.0), np.full(CELLS, 3.0)), _times(r2, by=-3.0), _times(r4, by=9.0)),
-            (_times(r, by=-3.0), _times(r2, r, by=9.0), _times(r4, r, by=-45.0)),
-            (
-                (np.full(CELLS, -3.0), np.full(CELLS, -3.0)),
-                _times(r2, by=9.0),
-                _times(r4, by=-45.0),
-                _times(r4, r2, by=315.0),
-            ),
-        ),
-        angles=COARSE,
-    )
-
-
-def _wendland_c6(q: Float) -> Float:
-    """f_2 = 528 u⁶ (6 q + 1), f_3 = -22176 u⁵, f_4 = 110880 u⁴ / q, f_5 = -110880 u³ (1 + 3 q) / q³, u = 1 - q,
-    f_6 = 332640 u² (1 + q)² / q⁵."""
-    u, r, w, t = (
-        _falling_factor(1.0 - q),
-        (q[:-1], q[1:]),
-        (6 * q[:-1] + 1, 6 * q[1:] + 1),
-        (3 * q[:-1] + 1, 3 * q[1:] + 1),
-    )
-    u3, r2 = _times(u, u, u), _times(r, r)
-    u5, u6, v = _times(u3, u, u), _times(u3, u3), _falling_factor(1.0 - q**2)
-    return _isochoric(
-        (
-            (_times(u6, w, r, by=528.0), _times(u5, r2, r, by=-22176.0)),
-            (_times(u6, w, by=528.0), _times(u5, r2, by=-22176.0), _times(u3, u, r2, r, by=110880.0)),
-            (_times(u5, r, by=-22176.0), _times(u3, u, r2, by=110880.0), _times(u3, t, r2, by=-110880.0)),
-            (
-                _times(u5, by=-22176.0),
-                _times(u3, u, r, by=110880.0),
-                _times(u3, t, r, by=-110880.0),
-                _times(v, v, r, by=332640.0),
-            ),
-        ),
-        angles=COARSE,
-    )
-
-
-def _isochoric(orders: Orders, *, angles: int) -> Float:
+def isochoric_norms(orders: Orders, *, angles: int = COARSE) -> Float:
     """(8, cells) bounds of N1 to N4 of strain and whole gradient."""
     bases = _strain_bases(angles)
     missed = np.cos(0.5 * np.pi / angles) ** 2 * np.cos(0.75 * np.pi / angles)
@@ -280,7 +165,7 @@ def _isochoric(orders: Orders, *, angles: int) -> Float:
     return np.array([*strain, *(s + k for s, k in zip(strain, skew, strict=True))])
 
 
-def _norm_over(norm: Callable[[Float], Float], coefficients: tuple[Enclosure, ...]) -> Float:
+def _norm_over(norm: Callable[[Float], Float], coefficients: tuple[Enclosed, ...]) -> Float:
     """Bound of a (semi)norm over enclosed coefficients."""
     low, high = np.array([c[0] for c in coefficients]).T, np.array([c[1] for c in coefficients]).T
     middle, spread = 0.5 * (low + high), 0.5 * (high - low)

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from musclefit.errors import FieldError
-from musclefit.fields.enclosures import radial_sums as bounds
-from musclefit.fields.enclosures import values as value_bounds
-from musclefit.fields.enclosures.majorants import EXTENTS, majorants
+from musclefit.fields.enclosures.radial_sums import BoxSums, box_sums
 from musclefit.fields.enclosures.source_terms import rounding_share
-from musclefit.fields.kernels import KERNELS
+from musclefit.fields.enclosures.values import value_sums
+from musclefit.fields.kernels import RadialKernel, kernel_named
 from musclefit.geometry.arrays import Float, Gradients, Points
 
 if TYPE_CHECKING:
@@ -45,7 +44,9 @@ def gradient_bounds(
     """
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
     gradients, radii = np.empty((len(centres), 3, 3)), np.empty(len(centres))
-    bounds.gradient_boxes(*boxes.field, boxes.local, boxes.half_widths, balls, boxes.blur, gradients, radii)
+    _sums_of(kernel_named(field.kernel)).gradients(
+        *boxes.field, boxes.local, boxes.half_widths, balls, boxes.blur, gradients, radii
+    )
     return np.ascontiguousarray(gradients[:, :n, :n]), radii
 
 
@@ -59,7 +60,7 @@ def strain_bounds(
     boxes = _prepared(field, centres, half_widths)
     ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
     planar = centres.shape[1] == 2
-    bounds.strain_boxes(
+    _sums_of(kernel_named(field.kernel)).strains(
         *boxes.field,
         boxes.local,
         boxes.half_widths,
@@ -76,10 +77,13 @@ def strain_bounds(
 def displacement_bounds(field: RadialField, centres: Points, half_widths: Float) -> tuple[Points, Float]:
     """Enclose the displacement over boxes; see `musclefit.fields.radial.RadialField.displacement_bounds`."""
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
-    code, isochoric, scale, _, table, _, sources, weights, sizes, _ = boxes.field
+    scale, _, table, _, sources, weights, sizes, _ = boxes.field
     summed, errors = np.empty_like(boxes.local), np.empty(len(centres))
-    slope = table[4].max() / (scale if code in EXTENTS else 1.0)
-    value_bounds.values(code, isochoric, scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
+    kernel = kernel_named(field.kernel)
+    known = kernel.proved()
+    slope = table[4].max() / (1.0 if known.extent is None else scale)
+    add = value_sums(known.values, known.steepest, isochoric=kernel.isochoric)
+    add(scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
     affine = field.translation + (centres - field.origin) @ field.linear.T
     values: Points = affine + summed[:, :n]
     parts = (
@@ -92,6 +96,11 @@ def displacement_bounds(field: RadialField, centres: Points, half_widths: Float)
         diagonals = np.linalg.norm(half_widths, axis=1)
         radii += np.einsum("bik,bk->bi", np.abs(gradients), half_widths) + (spread * diagonals)[:, None]
     return values, radii * (1.0 + 2.0 * share)
+
+
+def _sums_of(kernel: RadialKernel) -> BoxSums:
+    known = kernel.proved()
+    return box_sums(known.terms, isochoric=kernel.isochoric, second_order=known.second_order)
 
 
 def endless(centres: Points) -> Float:
@@ -112,7 +121,8 @@ def _prepared(field: RadialField, centres: Points, half_widths: Float) -> _Boxes
         )
     if not (half_widths >= 0.0).all():
         raise FieldError("half widths of boxes must be numbers of at least 0")
-    kernel = KERNELS[field.kernel]
+    kernel = kernel_named(field.kernel)
+    known = kernel.proved()
     sources, local = field.centres - field.origin, centres - field.origin
     largest = sum(float(np.abs(a).max(initial=0.0)) for a in (sources, local))
     weights = _in_space(field.weights)
@@ -121,11 +131,9 @@ def _prepared(field: RadialField, centres: Points, half_widths: Float) -> _Boxes
     linear[:n, :n] = field.linear
     return _Boxes(
         field=(
-            kernel.code,
-            kernel.isochoric,
             field.scale,
-            EXTENTS.get(kernel.code, 1.0),
-            majorants(kernel.code),
+            1.0 if known.extent is None else known.extent,
+            known.majorants,
             field.scale if kernel.compact else np.inf,
             np.ascontiguousarray(_in_space(sources).T),
             np.ascontiguousarray(weights.T),

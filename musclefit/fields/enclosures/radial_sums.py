@@ -1,6 +1,6 @@
 """Rigorous sums over boxes and sources: enclosures of a radial field's gradient and strain, rounded outward.
 
-The terms come from `terms`. Nothing here is reassociated or contracted, so every operation is correctly rounded. Sums
+The terms come from a kernel. Nothing here is reassociated or contracted, so every operation is correctly rounded. Sums
 of m terms, each of fewer than 100 operations on parts whose absolute values add to at most ``first`` (of the gradient)
 and ``second`` (of its derivative along a unit direction), are off by at most `rounding_share` times these in each
 entry, hence 3 times that in norm; 4 is used. Coordinates local to the field's origin are off by ``blur`` (mm), which is
@@ -9,10 +9,14 @@ added to the half diagonals and, times ``second``, to the radius.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from musclefit.compiling import njit, threaded
-from musclefit.fields.enclosures.box_sums import sum_block
+from musclefit.fields.enclosures.box_sums import block_sums
 from musclefit.fields.enclosures.eigenvalues import eigenvalue_floor
 from musclefit.fields.enclosures.source_terms import LANES, SMALL, rounding_share
 
@@ -107,64 +111,6 @@ def _derivative_square(sums, i):
     return -eigenvalue_floor(-gram[0], -gram[1], -gram[2], -gram[3], -gram[4], -gram[5])
 
 
-@threaded(over="boxes", each=LANES, error_model="numpy")
-def gradient_boxes(
-    begin,
-    end,
-    code,
-    isochoric,
-    scale,
-    extent,
-    table,
-    reach,
-    sources,
-    weights,
-    sizes,
-    linear,
-    boxes,
-    half_widths,
-    balls,
-    blur,
-    gradients,
-    radii,
-):
-    """Enclose the gradient over boxes: ``gradients`` (B, 3, 3) and ``radii`` (B,) are written.
-
-    ``boxes`` (B, 3) centres and ``sources`` (3, m) are local to the field's origin; ``sizes`` (m,) are at least the
-    lengths of the ``weights`` (3, m); ``reach`` is the support of a compact kernel, else infinite. ``balls`` (B,): only
-    points of a box that are within this distance of its centre count; infinite for all.
-    """
-    count, m = boxes.shape[0], sizes.size
-    for block in range(begin, end):
-        start, stop = block * LANES, min(count, (block + 1) * LANES)
-        h = _half_diagonals(half_widths, balls, start, stop, blur)
-        sums = sum_block(
-            code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h
-        )
-        for i in range(stop - start):
-            half = half_widths[start + i]
-            longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
-            for corner in range(4):
-                sy, sz = half[1] * (1 - 2 * (corner & 1)), half[2] * (1 - (corner & 2))
-                square = 0.0
-                for k in range(3):
-                    r = 9 + 6 * k
-                    ux = half[0] * sums[r, i] + sy * sums[r + 1, i] + sz * sums[r + 2, i]
-                    uy = half[0] * sums[r + 1, i] + sy * sums[r + 3, i] + sz * sums[r + 4, i]
-                    uz = half[0] * sums[r + 2, i] + sy * sums[r + 4, i] + sz * sums[r + 5, i]
-                    square += ux * ux + uy * uy + uz * uz
-                longest = max(longest, square)
-            if balls[start + i] < np.inf:
-                longest = min(longest, balls[start + i] ** 2 * _derivative_square(sums, i))
-            for k in range(9):
-                gradients[start + i, k // 3, k % 3] = sums[k, i]
-            slack = _slack(sums, i, h[i], m, blur)
-            quadratic = _quadratic(sums, i, half, h[i], False) if isochoric or code <= 2 else 0.0
-            radii[start + i] = (np.sqrt(longest) + quadratic + sums[28, i] + slack) * (1.0 + rounding_share(m))
-            if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
-                radii[start + i] = np.inf
-
-
 @njit(cache=True, error_model="numpy")
 def _strain(sums, i, row, planar, out):
     """The strain of the whole gradient (row 0) or of its derivative along axis row - 1: (xx, yy, zz, xy, xz, yz).
@@ -230,37 +176,102 @@ def _corner_floor(parts, half, ball, sign, quick):
     return middle, max(lowest, middle - deviation)
 
 
-@threaded(over="boxes", each=LANES, error_model="numpy")
-def strain_boxes(
-    begin,
-    end,
-    code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur,
-    planar, enough, bounds, middles,
-):  # fmt: skip
-    """Bound the eigenvalues of the strain over boxes: ``bounds`` and ``middles`` (B, 2) are written.
+class BoxSums(NamedTuple):
+    """A kernel's compiled enclosures over boxes."""
 
-    Every eigenvalue anywhere in box b is within ``bounds[b]``. ``middles[b]`` is about the range at its centre, NaN
-    where sources are too near for the box to tell. ``enough`` (2,): bounds at least that good need no tightening.
-    """
-    count, m = boxes.shape[0], sizes.size
-    for block in range(begin, end):
-        start, stop = block * LANES, min(count, (block + 1) * LANES)
-        h = _half_diagonals(half_widths, balls, start, stop, blur)
-        sums = sum_block(
-            code, isochoric, scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h
-        )
-        parts = np.empty((4, 6))
-        for i in range(stop - start):
-            for row in range(4):
-                _strain(sums, i, row, planar, parts[row])
-            half = half_widths[start + i]
-            quadratic = _quadratic(sums, i, half, h[i], True) if isochoric or code <= 2 else 0.0
-            loss = (quadratic + sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
-            for side in range(2):  # one call, so that it is compiled into this once
-                sign = 1.0 - 2.0 * side
-                middle, low = _corner_floor(parts, half, balls[start + i], sign, sign * enough[side] + loss)
-                bounds[start + i, side], middles[start + i, side] = sign * (low - loss), sign * middle
-            if sums[32, i] > UNRESOLVED:
-                middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan
-            if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
-                bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf
+    gradients: Callable[..., None]
+    strains: Callable[..., None]
+
+
+@cache
+def box_sums(terms: Any, *, isochoric: bool, second_order: bool) -> BoxSums:
+    """A kernel's enclosures over boxes; see `musclefit.fields.kernels.model.Enclosure`."""
+    sum_block = block_sums(terms, isochoric=isochoric, second_order=second_order)
+
+    @threaded(over="boxes", each=LANES, error_model="numpy")
+    def gradient_boxes(
+        begin,
+        end,
+        scale,
+        extent,
+        table,
+        reach,
+        sources,
+        weights,
+        sizes,
+        linear,
+        boxes,
+        half_widths,
+        balls,
+        blur,
+        gradients,
+        radii,
+    ):
+        """Enclose the gradient over boxes: ``gradients`` (B, 3, 3) and ``radii`` (B,) are written.
+
+        ``boxes`` (B, 3) centres and ``sources`` (3, m) are local to the field's origin; ``sizes`` (m,) are at least the
+        lengths of the ``weights`` (3, m); ``reach`` is the support of a compact kernel, else infinite. ``balls`` (B,):
+        only points of a box that are within this distance of its centre count; infinite for all.
+        """
+        count, m = boxes.shape[0], sizes.size
+        for block in range(begin, end):
+            start, stop = block * LANES, min(count, (block + 1) * LANES)
+            h = _half_diagonals(half_widths, balls, start, stop, blur)
+            sums = sum_block(scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h)
+            for i in range(stop - start):
+                half = half_widths[start + i]
+                longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
+                for corner in range(4):
+                    sy, sz = half[1] * (1 - 2 * (corner & 1)), half[2] * (1 - (corner & 2))
+                    square = 0.0
+                    for k in range(3):
+                        r = 9 + 6 * k
+                        ux = half[0] * sums[r, i] + sy * sums[r + 1, i] + sz * sums[r + 2, i]
+                        uy = half[0] * sums[r + 1, i] + sy * sums[r + 3, i] + sz * sums[r + 4, i]
+                        uz = half[0] * sums[r + 2, i] + sy * sums[r + 4, i] + sz * sums[r + 5, i]
+                        square += ux * ux + uy * uy + uz * uz
+                    longest = max(longest, square)
+                if balls[start + i] < np.inf:
+                    longest = min(longest, balls[start + i] ** 2 * _derivative_square(sums, i))
+                for k in range(9):
+                    gradients[start + i, k // 3, k % 3] = sums[k, i]
+                slack = _slack(sums, i, h[i], m, blur)
+                quadratic = _quadratic(sums, i, half, h[i], False) if second_order else 0.0
+                radii[start + i] = (np.sqrt(longest) + quadratic + sums[28, i] + slack) * (1.0 + rounding_share(m))
+                if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
+                    radii[start + i] = np.inf
+
+    @threaded(over="boxes", each=LANES, error_model="numpy")
+    def strain_boxes(
+        begin,
+        end,
+        scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur,
+        planar, enough, bounds, middles,
+    ):  # fmt: skip
+        """Bound the eigenvalues of the strain over boxes: ``bounds`` and ``middles`` (B, 2) are written.
+
+        Every eigenvalue anywhere in box b is within ``bounds[b]``. ``middles[b]`` is about the range at its centre, NaN
+        where sources are too near for the box to tell. ``enough`` (2,): bounds at least that good need no tightening.
+        """
+        count, m = boxes.shape[0], sizes.size
+        for block in range(begin, end):
+            start, stop = block * LANES, min(count, (block + 1) * LANES)
+            h = _half_diagonals(half_widths, balls, start, stop, blur)
+            sums = sum_block(scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h)
+            parts = np.empty((4, 6))
+            for i in range(stop - start):
+                for row in range(4):
+                    _strain(sums, i, row, planar, parts[row])
+                half = half_widths[start + i]
+                quadratic = _quadratic(sums, i, half, h[i], True) if second_order else 0.0
+                loss = (quadratic + sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
+                for side in range(2):  # one call, so that it is compiled into this once
+                    sign = 1.0 - 2.0 * side
+                    middle, low = _corner_floor(parts, half, balls[start + i], sign, sign * enough[side] + loss)
+                    bounds[start + i, side], middles[start + i, side] = sign * (low - loss), sign * middle
+                if sums[32, i] > UNRESOLVED:
+                    middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan
+                if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
+                    bounds[start + i, 0], bounds[start + i, 1] = -np.inf, np.inf
+
+    return BoxSums(gradient_boxes, strain_boxes)

@@ -27,7 +27,7 @@ from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges
 from musclefit.rig.handles import StraightPath
-from musclefit.rig.settings import StepKind
+from musclefit.vocabulary import StepKind
 
 SIDE_MM = 100.0
 CELLS = 10

@@ -30,8 +30,8 @@ from musclefit.geometry.arrays import Float, Points, Tets
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.rig.handles import Path, StraightPath
-from musclefit.rig.settings import StepKind
 from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose, ring
+from musclefit.vocabulary import StepKind
 
 STATIONS = 5
 RADIUS_MM = 4.0

@@ -33,8 +33,8 @@ from musclefit.geometry.images.grids import Grid
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.rig.handles import StraightPath
-from musclefit.rig.settings import StepKind
 from musclefit.rig.spread import spread_over
+from musclefit.vocabulary import StepKind
 
 PULL_MM = 22.0 * np.array([0.0, 1.0, 0.3]) / np.linalg.norm([0.0, 1.0, 0.3])
 CONTROL_POINTS = (7, 10, 5)

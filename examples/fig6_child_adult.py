@@ -37,7 +37,7 @@ from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.nifti import read_volume, write_volume
 from musclefit.pipeline.images import jacobian_map
 from musclefit.rig.handles import StraightPath
-from musclefit.rig.settings import StepKind
+from musclefit.vocabulary import StepKind
 
 BACKENDS: dict[str, Backend] = {"RBF r^2 log r": RadialBackend("r2logr"), "FFD 20 mm": FfdBackend(20.0)}
 

@@ -36,10 +36,11 @@ from musclefit.pipeline.deformers import deform, deform_in_one_shot
 from musclefit.pipeline.retarget import STEP_KINDS
 from musclefit.progress import Silent
 from musclefit.rig.job import Job
-from musclefit.rig.settings import DeformerSettings, Kernel, StepKind
+from musclefit.rig.settings import DeformerSettings
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
+from musclefit.vocabulary import StepKind
 
-KERNELS = {"heavy": Kernel.R, "very_heavy": Kernel.R3}
+KERNELS = {"heavy": "r", "very_heavy": "r3"}
 LATTICE_MM = 8.0
 DETAIL_MM = 60.0
 """Around what folds, in the close view."""

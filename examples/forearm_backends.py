@@ -22,8 +22,8 @@ from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Silent
-from musclefit.rig.settings import StepKind
 from musclefit.validate.overlaps import check_overlaps, solid_anatomy
+from musclefit.vocabulary import StepKind
 
 CAYLEY = ("deformer.step=cayley", "deformer.path=joints")
 

@@ -23,7 +23,7 @@ from musclefit.geometry.fitting import CylinderFit
 from musclefit.io.anatomy import read_surface
 from musclefit.rig.articulation import fitted_joint
 from musclefit.rig.joint_kinds import JointKind
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 
 @dataclass(frozen=True, slots=True)

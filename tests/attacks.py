@@ -14,8 +14,7 @@ from musclefit.certify.maps import certify_map
 from musclefit.certify.model import MapCertificate
 from musclefit.fields.protocol import Field
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 E, C = StepKind.EXPLICIT, StepKind.CAYLEY
 Steps = Sequence[tuple[StepKind, Field]]
@@ -210,28 +209,28 @@ def verify_fold(steps: Steps, points: np.ndarray, certificate: MapCertificate) -
 class Tally:
     """What a campaign came to."""
 
-    claims: Counter[tuple[MapClaim, bool]] = dataclasses.field(default_factory=Counter)
-    kinds: Counter[tuple[MapClaim, StepKind]] = dataclasses.field(default_factory=Counter)
+    claims: Counter[tuple[Claim, bool]] = dataclasses.field(default_factory=Counter)
+    kinds: Counter[tuple[Claim, StepKind]] = dataclasses.field(default_factory=Counter)
 
-    def of(self, claim: MapClaim) -> int:
+    def of(self, claim: Claim) -> int:
         return sum(count for (found, _), count in self.claims.items() if found is claim)
 
     def require_a_sound_mixture(self, count: int) -> None:
         """So many configurations, of each claim and of each kind of step enough for the attacks to mean something."""
         assert sum(self.claims.values()) == count
-        for claim, share in ((MapClaim.CERTIFIED, 0.25), (MapClaim.REFUTED, 0.1), (MapClaim.UNDECIDED, 0.05)):
+        for claim, share in ((Claim.CERTIFIED, 0.25), (Claim.REFUTED, 0.1), (Claim.UNDECIDED, 0.05)):
             assert self.of(claim) >= share * count, (claim, str(self))
             for kind in (E, C):
                 assert self.kinds[claim, kind] >= 0.25 * share * count, (claim, kind, str(self))
         # Most of what the condition allows is certified, though some stay within 0.3 % of its limit.
-        assert self.claims[MapClaim.UNDECIDED, True] <= 0.25 * self.claims[MapClaim.CERTIFIED, True], str(self)
+        assert self.claims[Claim.UNDECIDED, True] <= 0.25 * self.claims[Claim.CERTIFIED, True], str(self)
 
     def __str__(self) -> str:
         each = ", ".join(
             f"{self.of(claim)} {claim.value} ({', '.join(f'{self.kinds[claim, k]} {k.value}' for k in (E, C))})"
-            for claim in (MapClaim.CERTIFIED, MapClaim.REFUTED, MapClaim.UNDECIDED)
+            for claim in (Claim.CERTIFIED, Claim.REFUTED, Claim.UNDECIDED)
         )
-        safe = self.claims[MapClaim.UNDECIDED, True]
+        safe = self.claims[Claim.UNDECIDED, True]
         return f"{sum(self.claims.values())} configurations: {each}; {safe} undecided within the limit"
 
 
@@ -242,13 +241,13 @@ def campaign(configurations: Iterable[Configuration], *, max_boxes: int, optimis
         certificate = certify_map(config.steps, config.points, max_boxes=max_boxes)
         tally.claims[certificate.claim, config.margin > 0.0] += 1
         tally.kinds[certificate.claim, config.steps[-1][0]] += 1
-        if certificate.claim is MapClaim.CERTIFIED:
+        if certificate.claim is Claim.CERTIFIED:
             # Later steps are scaled on a bounding box, which is wider than the domain that is to be proved.
             assert config.margin > 0.0 or len(config.steps) > 1
             assert certificate.margin > 0.0
             assert certificate.boxes_left == 0
             attack(config, certificate, np.random.default_rng(seed), optimise=optimise)
-        elif certificate.claim is MapClaim.REFUTED:
+        elif certificate.claim is Claim.REFUTED:
             verify_fold(config.steps, config.points, certificate)
         else:
             assert certificate.steps[-1].note

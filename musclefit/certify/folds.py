@@ -18,7 +18,7 @@ from musclefit.certify.ball_covers import (
 from musclefit.certify.model import Fold
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
-from musclefit.rig.settings import StepKind
+from musclefit.vocabulary import StepKind
 
 StepOf = tuple[StepKind, Field]
 """A step as certification takes it."""

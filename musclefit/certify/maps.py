@@ -52,8 +52,7 @@ from musclefit.geometry.arrays import Bool, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.progress import CERTIFY, Progress, Silent, Tick
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 MAX_BOXES = 400_000
 """Boxes that a certificate may examine, over all steps."""
@@ -125,7 +124,7 @@ def certify_map(
             body = _Body.of(skin, voxels=voxels)
             found, fold = _judge(steps, body, max_boxes=max_boxes - spent, margin_share=margin_share, tick=tick)
             spent += sum(step.boxes_examined for step in found)
-            if not found or found[-1].claim is not MapClaim.UNDECIDED or spent >= max_boxes:
+            if not found or found[-1].claim is not Claim.UNDECIDED or spent >= max_boxes:
                 break
     return _summary(found, fold, examined=spent, max_boxes=max_boxes)
 
@@ -140,10 +139,10 @@ def _judge(
         trial = _Trial(kind, field, body)
         proof = trial.prove(budget, margin_share, _part(tick, number, len(steps)))
         step = trial.certificate(proof)
-        if step.claim is not MapClaim.CERTIFIED:
+        if step.claim is not Claim.CERTIFIED:
             starts, stride = trial.suspects(proof)
             fold = find_fold(steps, number, starts, stride=stride, samples=body.samples(), inside=body.inside)
-            found.append(replace(step, claim=MapClaim.REFUTED) if fold else step)
+            found.append(replace(step, claim=Claim.REFUTED) if fold else step)
             return tuple(found), fold
         found.append(step)
         tick((number + 1) / len(steps))
@@ -290,7 +289,7 @@ class _Trial:
         certified = proof is not None and proof.margin > 0.0
         return StepCertificate(
             kind=self.kind,
-            claim=MapClaim.CERTIFIED if certified else MapClaim.UNDECIDED,
+            claim=Claim.CERTIFIED if certified else Claim.UNDECIDED,
             margin=proof.margin if proof is not None and certified else margin,
             sampled_margin=margin,
             worst_place=place,
@@ -335,9 +334,9 @@ def _summary(
 ) -> MapCertificate:
     """One record from the steps'; no steps at all are the identity, which is certified."""
     if not steps:
-        return MapCertificate(MapClaim.CERTIFIED, 1.0, -1, (), 0, 0, max_boxes, ())
+        return MapCertificate(Claim.CERTIFIED, 1.0, -1, (), 0, 0, max_boxes, ())
     last = steps[-1]
-    worst = len(steps) - 1 if last.claim is not MapClaim.CERTIFIED else int(np.argmin([s.margin for s in steps]))
+    worst = len(steps) - 1 if last.claim is not Claim.CERTIFIED else int(np.argmin([s.margin for s in steps]))
     return MapCertificate(
         claim=last.claim,
         margin=steps[worst].margin,

@@ -25,7 +25,7 @@ from musclefit.geometry.queries.sheet_winding import UNKNOWN, sheets_of
 from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.geometry.tets.orientation import orientations
 from musclefit.geometry.tets.topology import TetFaces, tet_faces
-from musclefit.validate.model import MeshClaim
+from musclefit.vocabulary import Claim
 
 
 def certify_mesh(mesh: TetMesh) -> MeshCertificate:
@@ -88,7 +88,7 @@ def _boundary(mesh: TetMesh, faces: TetFaces) -> tuple[TriMesh, Int]:
     return TriMesh(mesh.vertices[used], local.reshape(-1, 3)), used
 
 
-def _claim(count: int, found: dict[str, int]) -> tuple[MeshClaim, str]:
+def _claim(count: int, found: dict[str, int]) -> tuple[Claim, str]:
     refuting = {
         "inverted": "{} tets are inverted",
         "flat": "{} tets are exactly flat",
@@ -102,7 +102,7 @@ def _claim(count: int, found: dict[str, int]) -> tuple[MeshClaim, str]:
     }
     notes = [text.format(found[key]) for key, text in (refuting | doubtful).items() if found[key]]
     if any(found[key] for key in refuting):
-        return MeshClaim.REFUTED, "; ".join(notes)
+        return Claim.REFUTED, "; ".join(notes)
     if notes or not count:
-        return MeshClaim.UNDECIDED, "; ".join(notes) or "the mesh has no tet"
-    return MeshClaim.CERTIFIED, ""
+        return Claim.UNDECIDED, "; ".join(notes) or "the mesh has no tet"
+    return Claim.CERTIFIED, ""

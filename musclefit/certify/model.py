@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from musclefit.geometry.arrays import Int, Points
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim, MeshClaim
+from musclefit.vocabulary import Claim, StepKind
 
 Place = tuple[float, ...]
 """Coordinates of a point, mm."""
@@ -43,7 +42,7 @@ class StepCertificate:
     Parameters
     ----------
     kind : StepKind
-    claim : MapClaim
+    claim : Claim
     margin : float
         Certified: a proved lower bound of how far the strain stays from the limit, 1 without strain, 0 at the limit.
         Else: the smallest sampled value (NaN where nothing was sampled).
@@ -60,7 +59,7 @@ class StepCertificate:
     """
 
     kind: StepKind
-    claim: MapClaim
+    claim: Claim
     margin: float
     sampled_margin: float
     worst_place: Place
@@ -77,7 +76,7 @@ class MapCertificate:
 
     Parameters
     ----------
-    claim : MapClaim
+    claim : Claim
         CERTIFIED: proved for every point inside. REFUTED: proved that orientation is reversed at ``fold``; since one
         sign of the Jacobian belongs to a one-to-one map, the map folds (or mirrors the whole body). UNDECIDED: neither.
     margin : float
@@ -93,7 +92,7 @@ class MapCertificate:
         The counterexample, when refuted; else empty.
     """
 
-    claim: MapClaim
+    claim: Claim
     margin: float
     worst_step: int
     worst_place: Place
@@ -110,7 +109,7 @@ class MeshCertificate:
 
     Parameters
     ----------
-    claim : MeshClaim
+    claim : Claim
     tets, boundary_faces : int
         What was examined.
     sheets : int
@@ -128,7 +127,7 @@ class MeshCertificate:
         Why it is not certified.
     """
 
-    claim: MeshClaim
+    claim: Claim
     tets: int
     boundary_faces: int
     sheets: int

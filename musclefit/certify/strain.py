@@ -9,7 +9,7 @@ import numpy as np
 
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Float, Gradients, Points
-from musclefit.rig.settings import StepKind
+from musclefit.vocabulary import StepKind
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from musclefit.errors import InputError
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 PASSED = 0
 

@@ -28,7 +28,7 @@ from musclefit.cli.sequence import sequence
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
-from musclefit.rig.settings import BackendKind, Unit
+from musclefit.vocabulary import BackendKind, Unit
 
 # The commands import what reads and computes when they need it, so that slips are told at once.
 

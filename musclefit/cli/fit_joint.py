@@ -30,7 +30,7 @@ def fit_joint(
     from musclefit.io.anatomy import read_surface
     from musclefit.rig.articulation import fitted_joint
     from musclefit.rig.joint_kinds import JointKind
-    from musclefit.rig.settings import Unit
+    from musclefit.vocabulary import Unit
 
     surfaces = [read_surface(path, units=Unit(units)).mesh() for path in (fixed, moving)]
     fits = fitted_joint(surfaces[0], surfaces[1], kind=JointKind(kind), within_mm=within_mm)

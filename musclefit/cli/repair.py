@@ -15,7 +15,7 @@ from rich.text import Text
 
 from musclefit.cli.progress import TimedStages
 from musclefit.errors import InputError
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 if TYPE_CHECKING:
     from musclefit.anatomy.repair.records import Repaired

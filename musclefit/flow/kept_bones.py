@@ -40,7 +40,7 @@ from musclefit.geometry.similarity import Similarity
 from musclefit.geometry.surfaces.subdivision import with_short_edges
 from musclefit.progress import Progress
 from musclefit.rig.handles import Path
-from musclefit.rig.settings import BoneLimit
+from musclefit.vocabulary import BoneLimit
 
 ITERATIONS, MISSED_MM = 40, 0.003
 """Of a correction's least squares at most, and the root mean square of what it may miss, at which it ends sooner."""

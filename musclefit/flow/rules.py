@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from musclefit.geometry.arrays import Float, Gradients
-from musclefit.rig.settings import StepKind, StepRule
+from musclefit.vocabulary import StepKind, StepRule
 
 Rule = Callable[[Gradients], Float]
 

@@ -20,7 +20,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.io.formats.ply import read_ply
 from musclefit.io.formats.surfaces import Polygons, read_obj, read_stl, read_vtp
 from musclefit.progress import Progress, Silent
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 _READERS: Mapping[str, Callable[[bytes, str], Polygons]] = MappingProxyType(
     {".stl": read_stl, ".obj": read_obj, ".ply": read_ply, ".vtp": read_vtp}

@@ -28,19 +28,17 @@ from musclefit.rig.joints import JointSystem, parse_joints
 from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.paths import ScrewMotions, motions_of, skeleton_of
 from musclefit.rig.settings import (
-    CageCrossings,
     CageDrive,
     JointDrive,
     LandmarkDrive,
     LatticeDrive,
-    PathKind,
     Rig,
     SkeletonDrive,
     TransformDrive,
-    Unit,
 )
 from musclefit.rig.skeleton import SkeletonPath
 from musclefit.rig.transforms import BoneTransforms
+from musclefit.vocabulary import CageCrossings, PathKind, Unit
 
 
 @dataclass(frozen=True, eq=False, slots=True)

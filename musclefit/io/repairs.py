@@ -20,7 +20,7 @@ from musclefit.meshing.ftetwild import fill
 from musclefit.pipeline.repair import RawTissue, RepairResult
 from musclefit.progress import Progress
 from musclefit.report.repairs import repair_json
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 
 @dataclass(frozen=True, eq=False, slots=True)

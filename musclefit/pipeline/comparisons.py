@@ -10,20 +10,8 @@ from musclefit.fields.kernels import KERNELS
 from musclefit.progress import MARCH, Progress, Tick
 from musclefit.rig.handles import StraightPath
 from musclefit.rig.job import Job
-from musclefit.rig.settings import (
-    BackendKind,
-    BoneSettings,
-    CertificateSettings,
-    Compared,
-    DeformerSettings,
-    Drive,
-    JointDrive,
-    Kernel,
-    LandmarkDrive,
-    PathKind,
-    StepKind,
-    StepRule,
-)
+from musclefit.rig.settings import BoneSettings, CertificateSettings, DeformerSettings, Drive, JointDrive, LandmarkDrive
+from musclefit.vocabulary import BackendKind, Compared, PathKind, StepKind, StepRule
 
 LOOP_MARCH = "march the paper's loop"
 
@@ -39,7 +27,7 @@ def is_papers_loop(job: Job) -> bool:
         settings.step is StepKind.EXPLICIT
         and settings.step_rule is StepRule.ROW_NORM
         and settings.path is PathKind.STRAIGHT
-        and not (settings.backend is BackendKind.RBF and KERNELS[settings.kernel.value].isochoric)
+        and not (settings.backend is BackendKind.RBF and KERNELS[settings.kernel].isochoric)
         and not (bones.rigid or bones.keep_rigid or bones.keep_similar)
     )
 
@@ -81,9 +69,10 @@ class LoopProgress:
 
 
 def _settings(own: DeformerSettings) -> DeformerSettings:
-    scalar = own.backend is BackendKind.RBF and not KERNELS[own.kernel.value].isochoric
+    scalar = own.backend is BackendKind.RBF and not KERNELS[own.kernel].isochoric
     return DeformerSettings(
-        kernel=own.kernel if scalar else Kernel.R2_LOG_R,
+        kernel=own.kernel if scalar else "r2logr",
+        kernel_scale_mm=own.kernel_scale_mm if scalar else None,
         smoothing=own.smoothing if scalar else 0.0,
         max_steps=own.max_steps,
     )

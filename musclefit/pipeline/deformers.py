@@ -34,15 +34,8 @@ from musclefit.pipeline.kept_bones import bone_limits, kept_choices
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
-from musclefit.rig.settings import (
-    BackendKind,
-    DeformerSettings,
-    JointDrive,
-    Kernel,
-    SkeletonDrive,
-    StepKind,
-    TestedAt,
-)
+from musclefit.rig.settings import DeformerSettings, JointDrive, SkeletonDrive
+from musclefit.vocabulary import BackendKind, StepKind, TestedAt
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
     {StepKind.EXPLICIT: explicit_step, StepKind.CAYLEY: cayley_step}
@@ -73,7 +66,9 @@ class Deformed:
 def backend_for(settings: DeformerSettings) -> Backend:
     """The backend that the settings name."""
     builders: Mapping[BackendKind, Callable[[], Backend]] = {
-        BackendKind.RBF: lambda: RadialBackend(settings.kernel.value, smoothing=settings.smoothing),
+        BackendKind.RBF: lambda: RadialBackend(
+            settings.kernel, scale=settings.kernel_scale_mm or 1.0, smoothing=settings.smoothing
+        ),
         BackendKind.FFD: lambda: FfdBackend(settings.lattice_spacing_mm, settings.lattice_levels),
     }
     return builders[settings.backend]()
@@ -269,7 +264,8 @@ def field_in_words(settings: DeformerSettings) -> str:
     if settings.backend is BackendKind.LATTICE:
         return "FFD by its own control points"
     smoothed = f", smoothing {settings.smoothing:g}" if settings.smoothing else ""
-    return f"RBF, kernel {settings.kernel.value}{smoothed}"
+    scaled = f" of {settings.kernel_scale_mm:g} mm" if settings.kernel_scale_mm is not None else ""
+    return f"RBF, kernel {settings.kernel}{scaled}{smoothed}"
 
 
 def rule_in_words(settings: DeformerSettings) -> str:
@@ -282,8 +278,8 @@ def rule_in_words(settings: DeformerSettings) -> str:
 def _baseline_settings(job: Job) -> DeformerSettings:
     """The rig's own field, but the thin-plate spline for isochoric ones, which nobody else warps with."""
     settings = job.rig.deformer
-    isochoric = settings.backend is BackendKind.RBF and KERNELS[settings.kernel.value].isochoric
-    return replace(settings, kernel=Kernel.R2_LOG_R, smoothing=0.0) if isochoric else settings
+    isochoric = settings.backend is BackendKind.RBF and KERNELS[settings.kernel].isochoric
+    return replace(settings, kernel="r2logr", kernel_scale_mm=None, smoothing=0.0) if isochoric else settings
 
 
 def _bone_stepper(job: Job, progress: Progress) -> BoneStepper:

@@ -18,8 +18,8 @@ from musclefit.geometry.arrays import Float
 from musclefit.geometry.queries.distances import DistanceTree
 from musclefit.pipeline.chosen_settings import chosen_setting, thickness
 from musclefit.rig.job import Job
-from musclefit.rig.settings import BoneLimit
 from musclefit.rig.table_reader import suggestion
+from musclefit.vocabulary import BoneLimit
 
 ZONE_MM = 4.0
 """How close a kept bone comes to another where the field may slip along it, without locks, unless the rig says so."""

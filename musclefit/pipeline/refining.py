@@ -26,7 +26,7 @@ from musclefit.pipeline.deformers import Deformed, keep_bones, locked_march_of, 
 from musclefit.pipeline.kept_bones import bone_limits
 from musclefit.progress import Progress
 from musclefit.rig.job import Job
-from musclefit.rig.settings import StepKind, TestedAt
+from musclefit.vocabulary import StepKind, TestedAt
 
 FEWEST_SAMPLES = 50_000
 """Surfaces are sampled as closely as the rig's longest edge says, but with no more samples than about this many, or

@@ -40,22 +40,15 @@ from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finel
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
 from musclefit.rig.job import Job
-from musclefit.rig.settings import BoneLimit, Compared, MeshSettings, StepKind
+from musclefit.rig.settings import MeshSettings
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.landmarks import check_landmarks
 from musclefit.validate.maps import check_map
-from musclefit.validate.model import (
-    BoneFieldCheck,
-    BoneOverlap,
-    MapCheck,
-    MapClaim,
-    MeshCheck,
-    MeshRefinement,
-    OverlapCheck,
-)
+from musclefit.validate.model import BoneFieldCheck, BoneOverlap, MapCheck, MeshCheck, MeshRefinement, OverlapCheck
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets, rest_findings
 from musclefit.validate.tissues import Motion, check_tissues
+from musclefit.vocabulary import BoneLimit, Claim, Compared, StepKind
 
 STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
     {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
@@ -329,7 +322,7 @@ class _Finisher:
         if self.tets is None:
             return None
         deformation, mesh, held = deformed.deformation, self.mesh, _held_bones(self.job, deformed)
-        if not mesh.refine or of_map.claim is MapClaim.REFUTED:
+        if not mesh.refine or of_map.claim is Claim.REFUTED:
             return moved_tets(self.tets, deformation)
         if held:
             moved = replace(moved_tets(self.tets, deformation), stopped="")
@@ -362,10 +355,10 @@ class _Finisher:
             margin_share=MARGIN_SHARE,
             progress=self.proving,
         )
-        refuted = MapClaim.REFUTED in (sampled.claim, proof.claim)
+        refuted = Claim.REFUTED in (sampled.claim, proof.claim)
         return replace(
             sampled,
-            claim=MapClaim.REFUTED if refuted else proof.claim,
+            claim=Claim.REFUTED if refuted else proof.claim,
             margin=proof.margin,
             boxes_examined=proof.boxes_examined,
             boxes_left=proof.boxes_left,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from musclefit.report.model import SCHEMA_VERSION
-from musclefit.rig.settings import Purpose
-from musclefit.validate.model import MapClaim, MeshClaim
+from musclefit.vocabulary import Claim, Purpose
 
 Schema = dict[str, Any]
 
@@ -220,7 +219,7 @@ def _landmarks() -> Schema:
 def _map() -> Schema:
     properties = {
         "claim": {
-            "enum": [claim.value for claim in MapClaim],
+            "enum": [claim.value for claim in Claim],
             "description": "What is known of the map of space being one-to-one. certified: proved on the whole domain; "
             "sampled: holds at the tested points, no proof; refuted: a counterexample was found; undecided: neither "
             "proved nor refuted.",
@@ -267,7 +266,7 @@ def _mesh() -> Schema:
         "min_volume_ratio": _number("Smallest deformed volume over rest volume of a tetrahedron."),
         "max_volume_ratio": _number("Largest deformed volume over rest volume of a tetrahedron."),
         "claim": {
-            "enum": [claim.value for claim in MeshClaim],
+            "enum": [claim.value for claim in Claim],
             "description": "What is known of the deformed mesh. certified: every tetrahedron proved positive by an "
             "exact predicate, and the boundary does not cross itself nor lie in tetrahedra; sampled: positive in "
             "floating point; undecided: neither proved nor refuted; refuted: not so.",

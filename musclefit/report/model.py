@@ -12,22 +12,21 @@ from musclefit.anatomy.mesh_fidelity import TissueFit
 from musclefit.anatomy.model import TissueKind
 from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report import next_steps
-from musclefit.rig.settings import Limits, Purpose
+from musclefit.rig.settings import Limits
 from musclefit.validate.joint_ranges import JointRange
 from musclefit.validate.model import (
     BoneFieldCheck,
     Check,
     LandmarkCheck,
     MapCheck,
-    MapClaim,
     MeshCheck,
-    MeshClaim,
     NotChecked,
     OverlapCheck,
     PairOverlap,
     TissueCheck,
 )
 from musclefit.validate.tissues import PRESCRIBED
+from musclefit.vocabulary import Claim, Purpose
 
 SCHEMA_VERSION = 1
 """Version of the report's JSON; raised whenever a key changes its meaning or goes away."""
@@ -362,7 +361,7 @@ def _map_checks(found: MapCheck) -> list[Check]:
     smallest = found.min_jacobian_determinant
     tested = found.points_tested > 0 and (found.folded_points > 0 or (math.isfinite(smallest) and smallest > 0))
     place = "at rest: ({:.4g}, {:.4g}, {:.4g}) mm".format(*found.place_mm) if found.folded_points else ""
-    refuted = found.claim is MapClaim.REFUTED
+    refuted = found.claim is Claim.REFUTED
     return [
         Check(
             "folded points",
@@ -381,7 +380,7 @@ def _mesh_checks(found: MeshCheck, limits: Limits) -> list[Check]:
     smallest = found.min_volume_ratio
     measured = found.tets > 0 and (found.inverted > 0 or (math.isfinite(smallest) and smallest > 0))
     worst = max(found.inverted_by_tissue, key=lambda item: item[1], default=("", 0))[0]
-    other_cause = found.claim is MeshClaim.REFUTED and found.inverted == 0
+    other_cause = found.claim is Claim.REFUTED and found.inverted == 0
     cause = found.note if other_cause else ""
     return [
         Check(

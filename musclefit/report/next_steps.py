@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from musclefit.flow.deformation import Status
-from musclefit.rig.settings import Purpose
 from musclefit.validate.model import MeshCheck
+from musclefit.vocabulary import Purpose
 
 BEST = 'deformer.method = "rigid-bones"'
 ANOTHER_BODY = f'limits.purpose = "{Purpose.ANOTHER_BODY}"'

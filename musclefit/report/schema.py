@@ -32,13 +32,13 @@ from musclefit.validate.model import (
     Check,
     MapCheck,
     MeshCheck,
-    MeshClaim,
     MeshRefinement,
     NotChecked,
     PairOverlap,
     TissueCheck,
     WorstTet,
 )
+from musclefit.vocabulary import Claim
 
 __all__ = ["Json", "mesh_report_schema", "report_schema", "to_json"]
 
@@ -222,7 +222,7 @@ def _mesh(found: MeshCheck) -> Json:
         "max_volume_ratio": _number(found.max_volume_ratio),
         "claim": found.claim.value,
         "inverted_by_tissue": [{"name": name, "inverted": int(count)} for name, count in found.inverted_by_tissue],
-        "theorem": MESH_THEOREM if found.claim is MeshClaim.CERTIFIED else "",
+        "theorem": MESH_THEOREM if found.claim is Claim.CERTIFIED else "",
         "surfaces": MESH_SURFACES,
         "note": found.note,
         "boundary_faces": int(found.boundary_faces),

@@ -11,8 +11,9 @@ from musclefit.report import next_steps
 from musclefit.report.model import Verdict, verdict_of
 from musclefit.validate.between_frames import Passage
 from musclefit.validate.close_meetings import Look, MeetingKind
-from musclefit.validate.model import Check, MapClaim
+from musclefit.validate.model import Check
 from musclefit.validate.muscles import MuscleMeasures
+from musclefit.vocabulary import Claim
 
 SEQUENCE_SCHEMA_VERSION = 2
 
@@ -186,7 +187,7 @@ class SequenceReport:
     @property
     def certified(self) -> int:
         """Frames whose map is proved one-to-one; undecided proofs are told, and do not fail a sequence."""
-        return sum(frame.claim == MapClaim.CERTIFIED.value for frame in self.made)
+        return sum(frame.claim == Claim.CERTIFIED.value for frame in self.made)
 
     @property
     def checks(self) -> tuple[Check, ...]:

@@ -19,9 +19,10 @@ from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, Straight
 from musclefit.rig.joints import JointSystem
 from musclefit.rig.lattice import ControlLattice
 from musclefit.rig.paths import KeyframePath, ScrewPath
-from musclefit.rig.settings import PathKind, Rig
+from musclefit.rig.settings import Rig
 from musclefit.rig.table_reader import suggestion
 from musclefit.rig.transforms import BoneTransforms, still_findings
+from musclefit.vocabulary import PathKind
 
 SAME_PLACE_MM = 1e-6
 """Handles closer than this are one place: no field can tell them apart at the default landmark limit."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from musclefit.geometry.arrays import Float
 from musclefit.rig.joint_kinds import AXES, CoordinateCoupling, Coupling, Joint, JointKind
-from musclefit.rig.settings import Unit
 from musclefit.rig.table_reader import Section
+from musclefit.vocabulary import Unit
 
 _COUPLING = ("follows", "fraction", "bone", "source")
 _NO_LIMITS = (-np.inf, np.inf)

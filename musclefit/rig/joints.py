@@ -12,8 +12,8 @@ from musclefit.errors import RigError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.joint_kinds import Coupling, Joint
 from musclefit.rig.joint_tables import read_coupling, read_joint
-from musclefit.rig.settings import Unit
 from musclefit.rig.table_reader import Section, suggestion
+from musclefit.vocabulary import Unit
 
 _TEXTS = ("units", "source", "order")
 """Top-level keys that are not joints; ``order`` is prose for the reader, the composition follows from the bones."""

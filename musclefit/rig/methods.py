@@ -11,7 +11,8 @@ from types import MappingProxyType
 from typing import Any
 
 from musclefit.errors import RigError
-from musclefit.rig.settings import METHOD_SETTINGS, BackendKind, Kernel, Method, PathKind, StepKind, require_method
+from musclefit.rig.settings import METHOD_SETTINGS, require_method
+from musclefit.vocabulary import BackendKind, Method, PathKind, StepKind
 
 METHOD = "deformer.method"
 
@@ -21,7 +22,7 @@ STANDS_FOR: Mapping[Method, Mapping[str, object]] = MappingProxyType(
         Method.YU2014: MappingProxyType(
             {
                 "deformer.backend": BackendKind.RBF.value,
-                "deformer.kernel": Kernel.R2_LOG_R.value,
+                "deformer.kernel": "r2logr",
                 "deformer.step": StepKind.EXPLICIT.value,
                 "deformer.path": PathKind.STRAIGHT.value,
                 "bones.rigid": False,
@@ -29,7 +30,7 @@ STANDS_FOR: Mapping[Method, Mapping[str, object]] = MappingProxyType(
         ),
         Method.RIGID_BONES: MappingProxyType(
             {
-                "deformer.kernel": Kernel.ISOCHORIC_R3.value,
+                "deformer.kernel": "isochoric-r3",
                 "deformer.step": StepKind.CAYLEY.value,
                 "deformer.path": PathKind.JOINTS.value,
                 "deformer.degrees_per_step": 12.0,

@@ -13,8 +13,9 @@ from musclefit.geometry.arrays import Points, frozen
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.joints import JointSystem
-from musclefit.rig.settings import JointDrive, PathKind, SkeletonDrive
+from musclefit.rig.settings import JointDrive, SkeletonDrive
 from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose, ring
+from musclefit.vocabulary import PathKind
 
 FLAT_SHARE = 1e-6
 """Landmarks of a bone whose spread across their line is below this share of that along it leave its turn free."""

@@ -19,11 +19,9 @@ from musclefit.rig.keyframes import PlaceKey, PoseKey
 from musclefit.rig.methods import settle, with_method
 from musclefit.rig.settings import (
     AnatomySource,
-    BackendKind,
     BoneSettings,
     CageDrive,
     CertificateSettings,
-    Compared,
     CompareSettings,
     DeformerSettings,
     Drive,
@@ -32,12 +30,8 @@ from musclefit.rig.settings import (
     LatticeDrive,
     Limits,
     MeshSettings,
-    Method,
-    PathKind,
-    Purpose,
     Rig,
     SkeletonDrive,
-    StepKind,
     SurfaceSettings,
     TetSettings,
     TransformDrive,
@@ -45,6 +39,7 @@ from musclefit.rig.settings import (
     default_purpose,
 )
 from musclefit.rig.table_reader import Section, suggestion
+from musclefit.vocabulary import BackendKind, Compared, Method, PathKind, Purpose, StepKind
 
 Record = TypeVar(
     "Record",
@@ -90,9 +85,10 @@ DRIVES: Mapping[DriveKind, type[Drive]] = {
 
 _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
     BackendKind.RBF: ("lattice_spacing_mm", "lattice_levels"),
-    BackendKind.FFD: ("kernel", "smoothing"),
+    BackendKind.FFD: ("kernel", "kernel_scale_mm", "smoothing"),
     BackendKind.LATTICE: (
         "kernel",
+        "kernel_scale_mm",
         "smoothing",
         "lattice_spacing_mm",
         "lattice_levels",

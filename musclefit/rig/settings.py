@@ -8,115 +8,28 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from enum import StrEnum
 from itertools import pairwise
 from types import MappingProxyType
 
 from musclefit.anatomy.mesh_rules import Gaps
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.fields.kernels import KERNELS, kernel_named
 from musclefit.rig.keyframes import PlaceKey, PoseKey, require_moments
 from musclefit.rig.motion import Interpolation
-
-
-class Unit(StrEnum):
-    """Length unit of files."""
-
-    MILLIMETRE = "mm"
-    CENTIMETRE = "cm"
-    METRE = "m"
-
-    @property
-    def in_mm(self) -> float:
-        """How many mm one of this unit is."""
-        return {Unit.MILLIMETRE: 1.0, Unit.CENTIMETRE: 10.0, Unit.METRE: 1000.0}[self]
-
-
-class Method(StrEnum):
-    """A way to deform by its name, which stands for several settings; ``OWN`` is what the settings say one by one."""
-
-    OWN = "own"
-    YU2014 = "yu2014"
-    RIGID_BONES = "rigid-bones"
-
-
-class BackendKind(StrEnum):
-    """What carries the displacement field between the handles."""
-
-    RBF = "rbf"
-    FFD = "ffd"
-    LATTICE = "lattice"
-
-
-class Kernel(StrEnum):
-    """Radial kernel of the displacement field; the isochoric ones give fields that keep volume."""
-
-    R = "r"
-    R2_LOG_R = "r2logr"
-    R3 = "r3"
-    ISOCHORIC_R3 = "isochoric-r3"
-    ISOCHORIC_R5 = "isochoric-r5"
-
-
-class StepKind(StrEnum):
-    """How one step is made from a field."""
-
-    EXPLICIT = "explicit"
-    CAYLEY = "cayley"
-
-
-class StepRule(StrEnum):
-    """The sufficient condition for a step to be one-to-one."""
-
-    ROW_NORM = "row-norm"
-    GERSHGORIN = "gershgorin"
-    MONOTONE = "monotone"
-
-
-class TestedAt(StrEnum):
-    """Where the step rule is tested."""
-
-    __test__ = False  # pytest takes imported classes whose name begins with Test for test cases
-
-    ALL_POINTS = "all-points"
-    LANDMARKS = "landmarks"
-
-
-class PathKind(StrEnum):
-    """How handles travel from rest to their destinations."""
-
-    STRAIGHT = "straight"
-    JOINTS = "joints"
-    SCREWS = "screws"
-    CHAIN = "chain"
-
-
-class BoneLimit(StrEnum):
-    """How a bone may change where no joint moves it; bones that no limit names deform freely."""
-
-    RIGID = "rigid"
-    SIMILAR = "similar"
-
-
-class Purpose(StrEnum):
-    """What a deformation is for: another pose of the same body, or another body."""
-
-    POSING = "posing"
-    ANOTHER_BODY = "another-body"
-
-
-class Compared(StrEnum):
-    """What a result is shown beside, made of the same handles."""
-
-    YU2014 = "yu2014"
-    ONE_SHOT = "one-shot"
-
-
-class CageCrossings(StrEnum):
-    """What to do with a cage whose triangles cross each other."""
-
-    REFUSE = "refuse"
-    ACCEPT = "accept"
+from musclefit.rig.table_reader import suggestion
+from musclefit.vocabulary import (
+    BackendKind,
+    CageCrossings,
+    Compared,
+    Method,
+    PathKind,
+    Purpose,
+    StepKind,
+    StepRule,
+    TestedAt,
+    Unit,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,8 +239,9 @@ class DeformerSettings:
     The path is cut into at least ``min_steps`` stretches, and into so many that in none a joint turns by more than
     ``degrees_per_step``; no step uses more than ``limit_share`` of its rule's limit, and an implicit one keeps at least
     ``margin_floor`` of it: where it kept next to nothing, other points between those tested are likely to fail.
-    ``kernel`` is for radial sums; ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels`` (lattices at
-    most, each of half the spacing of the one before) are for free-form deformation by handles.
+    ``kernel`` is for radial sums, by its name (`musclefit.fields.kernels`), ``kernel_scale_mm`` its own length where it
+    has one: support, width or mollifier. ``lattice_spacing_mm`` (of the coarsest lattice) and ``lattice_levels``
+    (lattices at most, each of half the spacing of the one before) are for free-form deformation by handles.
     ``smoothing`` lets radial sums miss noisy handles: it is added to the diagonal of the kernel's matrix.
 
     Raises
@@ -339,7 +253,8 @@ class DeformerSettings:
 
     method: Method = Method.OWN
     backend: BackendKind = BackendKind.RBF
-    kernel: Kernel = Kernel.R2_LOG_R
+    kernel: str = "r2logr"
+    kernel_scale_mm: float | None = None
     step: StepKind = StepKind.EXPLICIT
     step_rule: StepRule = StepRule.ROW_NORM
     tested_at: TestedAt = TestedAt.ALL_POINTS
@@ -354,6 +269,7 @@ class DeformerSettings:
     smoothing: float = 0.0
 
     def __post_init__(self) -> None:
+        _require_kernel(self.kernel, self.kernel_scale_mm)
         _at_least_one("deformer.max_steps", self.max_steps)
         _at_least_one("deformer.min_steps", self.min_steps)
         if not 0.0 < self.degrees_per_step <= 360.0:
@@ -611,7 +527,7 @@ METHOD_SETTINGS: Mapping[Method, Mapping[str, tuple[object, ...]]] = MappingProx
         Method.YU2014: MappingProxyType(
             {
                 "deformer.backend": (BackendKind.RBF,),
-                "deformer.kernel": (Kernel.R2_LOG_R, Kernel.R, Kernel.R3),
+                "deformer.kernel": ("r2logr", "r", "r3"),
                 "deformer.step": (StepKind.EXPLICIT,),
                 "deformer.step_rule": (StepRule.ROW_NORM,),
                 "deformer.path": (PathKind.STRAIGHT,),
@@ -756,7 +672,7 @@ def default_purpose(drive: Drive, deformer: DeformerSettings, bones: BoneSetting
         return Purpose.POSING, "bones go on screws"
     handles = {LandmarkDrive: "landmarks", CageDrive: "a cage", LatticeDrive: "a lattice"}[type(drive)]
     drives = "drive" if handles.endswith("s") else "drives"
-    if deformer.backend is BackendKind.RBF and deformer.kernel in (Kernel.ISOCHORIC_R3, Kernel.ISOCHORIC_R5):
+    if deformer.backend is BackendKind.RBF and kernel_named(deformer.kernel).isochoric:
         return Purpose.POSING, f"{handles} {drives} by a kernel that keeps volume"
     return Purpose.ANOTHER_BODY, f"{handles} {drives} by a field that may change volume"
 
@@ -778,6 +694,22 @@ def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:
             f'bones.rigid: bones move rigidly: write deformer.path = "{path}", step = "{StepKind.CAYLEY}" and '
             f'tested_at = "{TestedAt.ALL_POINTS}", or bones.rigid = false'
         )
+
+
+def _require_kernel(name: str, scale_mm: float | None) -> None:
+    """Raise RigError unless there is such a kernel, and its length is given where it has one and nowhere else."""
+    if name not in KERNELS:
+        raise RigError(f"deformer.kernel: found {name!r}; {suggestion(name, KERNELS)}")
+    scaled = KERNELS[name].scaled
+    if scaled and scale_mm is None:
+        raise RigError(
+            f"deformer.kernel_scale_mm: is missing; kernel {name!r} has a length of its own (its support, width or "
+            "mollifier): give it in mm, some times the distance between handles"
+        )
+    if not scaled and scale_mm is not None:
+        raise RigError(f"deformer.kernel_scale_mm: has no effect: kernel {name!r} has no length of its own; remove it")
+    if scale_mm is not None and not 0.0 < scale_mm < math.inf:
+        raise RigError(f"deformer.kernel_scale_mm: found {scale_mm}; expected a finite length above 0, in mm")
 
 
 def _at_least_one(key: str, value: int) -> None:

@@ -19,8 +19,9 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.chain import ChainMotions, carriers_of, some_of
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import ScrewMotions
-from musclefit.rig.settings import PathKind, TransformDrive
+from musclefit.rig.settings import TransformDrive
 from musclefit.rig.table_reader import suggestion
+from musclefit.vocabulary import PathKind
 
 ROTATION_TOLERANCE = 1e-3
 """Farthest that a matrix may be from a rotation: by how much of itself it may change a length."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
-from musclefit.validate.model import MapCheck, MapClaim
+from musclefit.validate.model import MapCheck
+from musclefit.vocabulary import Claim
 
 
 def check_map(
@@ -45,7 +46,7 @@ def check_map(
     worst = int(np.argmin(np.nan_to_num(determinants, nan=-np.inf)))
     x, y, z = (float(c) for c in points[worst])
     return MapCheck(
-        claim=MapClaim.REFUTED if folded else MapClaim.SAMPLED,
+        claim=Claim.REFUTED if folded else Claim.SAMPLED,
         rule=rule,
         margin=margin,
         points_tested=len(points),

@@ -4,25 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from enum import StrEnum
 
-
-class MapClaim(StrEnum):
-    """What is known of the map being one-to-one; three different claims, never mixed."""
-
-    CERTIFIED = "certified"
-    SAMPLED = "sampled"
-    UNDECIDED = "undecided"
-    REFUTED = "refuted"
-
-
-class MeshClaim(StrEnum):
-    """What is known of the deformed tet mesh."""
-
-    CERTIFIED = "certified"
-    SAMPLED = "sampled"
-    UNDECIDED = "undecided"
-    REFUTED = "refuted"
+from musclefit.vocabulary import Claim
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +28,7 @@ class MapCheck:
     undecided; ``margin`` is proved when the claim is certified.
     """
 
-    claim: MapClaim
+    claim: Claim
     rule: str
     margin: float
     points_tested: int
@@ -120,7 +103,7 @@ class MeshCheck:
     inverted: int
     min_volume_ratio: float
     max_volume_ratio: float
-    claim: MeshClaim
+    claim: Claim
     inverted_by_tissue: tuple[tuple[str, int], ...] = ()
     boundary_faces: int = 0
     crossings: int = 0

@@ -15,7 +15,8 @@ from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Float, Int, Points
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.tets.quality import dihedral_angles
-from musclefit.validate.model import MeshCheck, MeshClaim, WorstTet
+from musclefit.validate.model import MeshCheck, WorstTet
+from musclefit.vocabulary import Claim
 
 WORST = 8
 """Tets, crossing pairs of tissues and slivers that are named; all are counted."""
@@ -85,7 +86,7 @@ def rest_findings(tets: TetAnatomy, *, sliver_deg: float) -> tuple[Finding, ...]
     """
     findings = []
     proof = certify_mesh(tets.mesh)
-    if proof.claim is not MeshClaim.CERTIFIED:
+    if proof.claim is not Claim.CERTIFIED:
         findings.append(
             Finding(
                 "tet mesh",

@@ -16,8 +16,7 @@ from musclefit.fields.fitting.ffd import FfdBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 CAMPAIGN = 12
 ISOCHORIC_SEEDS = (0, 2, 3, 4, 6, 7, 9, 11)
@@ -84,8 +83,8 @@ def configuration(seed: int) -> Configuration:
 
 def test_certificates_of_free_form_deformations_withstand_attack():
     tally = campaign(map(configuration, range(CAMPAIGN)), max_boxes=20_000, optimise=False)
-    assert tally.of(MapClaim.CERTIFIED) >= 3
-    assert tally.of(MapClaim.REFUTED) >= 1
+    assert tally.of(Claim.CERTIFIED) >= 3
+    assert tally.of(Claim.REFUTED) >= 1
 
 
 def isochoric_configuration(seed: int) -> Configuration:
@@ -107,8 +106,8 @@ def isochoric_configuration(seed: int) -> Configuration:
 
 def test_certificates_of_isochoric_free_form_deformations_withstand_attack():
     tally = campaign(map(isochoric_configuration, ISOCHORIC_SEEDS), max_boxes=20_000, optimise=False)
-    assert tally.of(MapClaim.CERTIFIED) >= 3
-    assert tally.of(MapClaim.REFUTED) >= 1
+    assert tally.of(Claim.CERTIFIED) >= 3
+    assert tally.of(Claim.REFUTED) >= 1
 
 
 @pytest.mark.slow
@@ -135,5 +134,5 @@ def test_a_lattice_within_a_percent_of_the_limit_is_certified():
     points = np.concatenate([rng.uniform(low, high, (20000, 3)), [low, high]])
     field = scaled_to(E, lattice.field(rng.normal(size=(125, 3))), 0.01, points, rng, lattice.control_points())
     certificate = certify_map([(E, field)], points)
-    assert certificate.claim is MapClaim.CERTIFIED
+    assert certificate.claim is Claim.CERTIFIED
     assert certificate.margin > 0.0

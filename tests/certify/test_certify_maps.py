@@ -30,8 +30,7 @@ from musclefit.fields.kernels import KERNELS
 from musclefit.fields.radial import RadialBackend, RadialField
 from musclefit.geometry.meshes import TriMesh
 from musclefit.progress import Tick
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 SCALES = {
     "gaussian": 40.0,
@@ -85,9 +84,9 @@ def configuration(seed: int) -> Configuration:
 
 def test_a_campaign_of_random_maps_survives_attack() -> None:
     tally = campaign(map(configuration, range(CAMPAIGN)), max_boxes=60_000, optimise=False)
-    assert tally.claims[MapClaim.CERTIFIED, True] >= 0.25 * CAMPAIGN
-    assert tally.claims[MapClaim.REFUTED, False] >= 0.15 * CAMPAIGN
-    assert tally.claims[MapClaim.REFUTED, True] == 0
+    assert tally.claims[Claim.CERTIFIED, True] >= 0.25 * CAMPAIGN
+    assert tally.claims[Claim.REFUTED, False] >= 0.15 * CAMPAIGN
+    assert tally.claims[Claim.REFUTED, True] == 0
 
 
 @pytest.mark.slow
@@ -131,7 +130,7 @@ def test_a_bump_is_certified_up_to_its_fold(share: float) -> None:
     """D = w exp(-r²/s²) folds at |w| = s sqrt(e / 2): there det = 1 - |w| max |d exp(-r²/s²)/dr| = 0."""
     limit = 20.0 * np.sqrt(np.e / 2.0)
     certificate = certify_map([(E, bump(np.array([0.0, share * limit, 0.0])))], BODY)
-    assert certificate.claim is MapClaim.CERTIFIED
+    assert certificate.claim is Claim.CERTIFIED
     assert 0.5 * (1.0 - share) - 1e-9 <= certificate.margin <= 1.0 - share + 1e-9
     assert certificate.steps[0].sampled_margin >= 1.0 - share - 1e-9
 
@@ -140,7 +139,7 @@ def test_a_bump_is_certified_up_to_its_fold(share: float) -> None:
 def test_a_bump_beyond_its_fold_is_refuted_where_it_folds(excess: float) -> None:
     field = bump(np.array([0.0, excess * 20.0 * np.sqrt(np.e / 2.0), 0.0]))
     certificate = certify_map([(E, field)], BODY)
-    assert certificate.claim is MapClaim.REFUTED
+    assert certificate.claim is Claim.REFUTED
     verify_fold([(E, field)], BODY, certificate)
     np.testing.assert_allclose(certificate.fold[0].place, (0.0, 20.0 / np.sqrt(2.0), 0.0), rtol=0, atol=12.0)
 
@@ -157,21 +156,21 @@ def test_larger_shares_prove_more_of_the_margin_with_more_boxes() -> None:
 def test_linear_compression_is_certified_up_to_collapse(n: int) -> None:
     body = BODY[:, :n]
     near = certify_map([(E, affine(-0.99 * np.eye(n)))], body)
-    assert near.claim is MapClaim.CERTIFIED
+    assert near.claim is Claim.CERTIFIED
     np.testing.assert_allclose(near.margin, 0.01, rtol=0, atol=1e-9)
     linear = np.zeros((n, n))
     linear[0, 0] = -1.01
     beyond = certify_map([(E, affine(linear))], body)
-    assert beyond.claim is MapClaim.REFUTED
+    assert beyond.claim is Claim.REFUTED
     verify_fold([(E, affine(linear))], body, beyond)
-    assert certify_map([(E, affine(-np.eye(n)))], body).claim is MapClaim.UNDECIDED  # collapse itself: det is 0
+    assert certify_map([(E, affine(-np.eye(n)))], body).claim is Claim.UNDECIDED  # collapse itself: det is 0
 
 
 def test_rotation_costs_a_cayley_step_nothing() -> None:
     """A turn by 100 degrees is the skew field 2 tan(50 degrees) omega x."""
     skew = 2.0 * np.tan(np.radians(50.0)) * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     certificate = certify_map([(C, affine(skew))] * 3, sphere(40.0))
-    assert certificate.claim is MapClaim.CERTIFIED
+    assert certificate.claim is Claim.CERTIFIED
     np.testing.assert_allclose(certificate.margin, 1.0, rtol=0, atol=1e-9)
 
 
@@ -180,7 +179,7 @@ def test_a_large_explicit_rotation_is_undecided_not_refuted() -> None:
     angle = np.radians(120.0)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     certificate = certify_map([(E, affine(turn - np.eye(3)))], BODY)
-    assert certificate.claim is MapClaim.UNDECIDED
+    assert certificate.claim is Claim.UNDECIDED
     assert "sufficient condition" in certificate.steps[0].note
     np.testing.assert_allclose(certificate.margin, np.cos(angle), rtol=0, atol=1e-9)
 
@@ -188,14 +187,14 @@ def test_a_large_explicit_rotation_is_undecided_not_refuted() -> None:
 def test_a_fold_outside_the_skin_refutes_nothing() -> None:
     field = bump(np.array([0.0, 60.0, 0.0]), at=(100.0, 0.0, 0.0))
     inside = certify_map([(E, field)], sphere(40.0))
-    assert inside.claim is MapClaim.CERTIFIED
+    assert inside.claim is Claim.CERTIFIED
     # Two spheres with the fold between them: their hull holds it, the body does not.
     left, right = sphere(20.0, centre=(30.0, 0.0, 0.0)), sphere(20.0, centre=(170.0, 0.0, 0.0))
     both = TriMesh(
         np.concatenate([left.vertices, right.vertices]), np.concatenate([left.faces, right.faces + len(left.vertices)])
     )
     between = certify_map([(E, field)], both)
-    assert between.claim is MapClaim.UNDECIDED
+    assert between.claim is Claim.UNDECIDED
     assert not between.fold
 
 
@@ -206,8 +205,8 @@ def test_a_fold_in_a_later_step_is_traced_back_to_rest(kind: StepKind) -> None:
     steps = [(kind, first), (kind, second)]
     skin = sphere(40.0)
     certificate = certify_map(steps, skin)
-    assert certificate.claim is MapClaim.REFUTED
-    assert [step.claim for step in certificate.steps] == [MapClaim.CERTIFIED, MapClaim.REFUTED]
+    assert certificate.claim is Claim.REFUTED
+    assert [step.claim for step in certificate.steps] == [Claim.CERTIFIED, Claim.REFUTED]
     assert certificate.fold[0].step == certificate.worst_step == 1
     verify_fold(steps, skin.vertices, certificate)
     assert np.linalg.norm(certificate.fold[0].place) < 40.0
@@ -217,11 +216,11 @@ def test_steep_cayley_steps_fold_where_they_are_said_to() -> None:
     """id + D/2 folds at |w| = 2 s sqrt(e / 2), away from where id - D/2 does."""
     limit = 2.0 * 20.0 * np.sqrt(np.e / 2.0)
     below = certify_map([(C, bump(np.array([0.0, 0.99 * limit, 0.0])))], 3.0 * BODY)
-    assert below.claim is MapClaim.CERTIFIED
+    assert below.claim is Claim.CERTIFIED
     assert 0.005 - 1e-9 <= below.margin <= 0.01 + 1e-9
     steps = [(C, bump(np.array([0.0, 1.05 * limit, 0.0])))]
     above = certify_map(steps, 3.0 * BODY)
-    assert above.claim is MapClaim.REFUTED
+    assert above.claim is Claim.REFUTED
     verify_fold(steps, 3.0 * BODY, above)
 
 
@@ -239,7 +238,7 @@ def test_the_domain_of_every_step_holds_the_moved_body() -> None:
         steps.append((kind, RadialBackend("isochoric-r3" if k < 3 else "r2logr").fit(at, handles_next - handles)))
         handles = handles_next
     certificate = certify_map(steps, skin)
-    assert certificate.claim is MapClaim.CERTIFIED
+    assert certificate.claim is Claim.CERTIFIED
     moved = np.concatenate([inside, skin.vertices])
     for (kind, field), step in zip(steps, certificate.steps, strict=True):
         after = flow_step(kind, field)(moved)
@@ -254,7 +253,7 @@ def test_the_domain_of_every_step_holds_the_moved_body() -> None:
 def test_a_spent_budget_leaves_the_claim_open() -> None:
     field = bump(np.array([0.0, 23.0, 0.0]))
     certificate = certify_map([(E, field)], BODY, max_boxes=1500)
-    assert certificate.claim is MapClaim.UNDECIDED
+    assert certificate.claim is Claim.UNDECIDED
     assert certificate.boxes_examined <= 1500 == certificate.max_boxes
     assert certificate.boxes_left > 0
     assert "budget" in certificate.steps[0].note
@@ -262,7 +261,7 @@ def test_a_spent_budget_leaves_the_claim_open() -> None:
 
 def test_no_steps_are_the_identity() -> None:
     certificate = certify_map([], BODY)
-    assert (certificate.claim, certificate.margin, certificate.steps) == (MapClaim.CERTIFIED, 1.0, ())
+    assert (certificate.claim, certificate.margin, certificate.steps) == (Claim.CERTIFIED, 1.0, ())
 
 
 def test_progress_never_runs_back() -> None:

@@ -14,7 +14,7 @@ from musclefit.errors import MeshError
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TetMesh
 from musclefit.geometry.tets.orientation import orientations
-from musclefit.validate.model import MeshClaim
+from musclefit.vocabulary import Claim
 
 
 def bent_bar(degrees: float, *, cells: int = 24) -> TetMesh:
@@ -48,16 +48,16 @@ def without(mesh: TetMesh, low: float, high: float) -> TetMesh:
 
 
 def assert_refuted(found: MeshCertificate, note: str) -> None:
-    assert found.claim is MeshClaim.REFUTED
+    assert found.claim is Claim.REFUTED
     assert note in found.note
 
 
 def test_a_block_and_any_affine_image_that_keeps_orientation_are_certified() -> None:
     mesh = block((3, 2, 2))
     found = certify_mesh(mesh)
-    assert (found.claim, found.tets, found.boundary_faces, found.sheets) == (MeshClaim.CERTIFIED, 72, 64, 1)
+    assert (found.claim, found.tets, found.boundary_faces, found.sheets) == (Claim.CERTIFIED, 72, 64, 1)
     shear = np.array([[1.0, 0.7, 0.1], [0.0, 0.3, 2.0], [0.4, 0.0, 1.5]])
-    assert certify_mesh(mesh.with_vertices(mesh.vertices @ shear.T + 1e3)).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(mesh.with_vertices(mesh.vertices @ shear.T + 1e3)).claim is Claim.CERTIFIED
     assert_refuted(certify_mesh(mesh.with_vertices(mesh.vertices * (1, 1, -1))), "72 tets are inverted")
 
 
@@ -102,12 +102,12 @@ def test_where_the_floating_point_volume_lies_the_certificate_does_not() -> None
         exact = int(orientations(corners, mesh.tets)[0])
         floating = float(signed_volumes(corners, mesh.tets)[0])
         lied += np.sign(floating) != exact
-        assert (certify_mesh(mesh).claim is MeshClaim.CERTIFIED) == (exact > 0)
+        assert (certify_mesh(mesh).claim is Claim.CERTIFIED) == (exact > 0)
     assert lied > 5
 
 
 def test_a_bar_bent_into_a_ring_is_certified_until_its_ends_meet() -> None:
-    for degrees, claim in ((90, MeshClaim.CERTIFIED), (340, MeshClaim.CERTIFIED), (370, MeshClaim.REFUTED)):
+    for degrees, claim in ((90, Claim.CERTIFIED), (340, Claim.CERTIFIED), (370, Claim.REFUTED)):
         found = certify_mesh(bent_bar(degrees))
         assert found.inverted == 0
         assert found.claim is claim
@@ -118,7 +118,7 @@ def test_a_bar_bent_into_a_ring_is_certified_until_its_ends_meet() -> None:
 
 def test_a_vertex_of_the_boundary_pushed_through_another_part_crosses() -> None:
     mesh = together(block((2, 2, 2)), moved(block((2, 2, 2)), (2.5, 0.2, 0.3)))
-    assert certify_mesh(mesh).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(mesh).claim is Claim.CERTIFIED
     vertices = np.array(mesh.vertices)
     spike = 27 + int(np.argmin(np.linalg.norm(block((2, 2, 2)).vertices - (0, 1, 1), axis=1)))
     vertices[spike, 0] = 1.9
@@ -132,7 +132,7 @@ def test_contact_is_no_proof() -> None:
     shifted = moved(block((2, 2, 2)), (2.0, 0.25, 0.25))
     assert_refuted(certify_mesh(together(block((2, 2, 2)), shifted)), "cross or touch")
     corner = certify_mesh(together(block((1, 1, 1)), moved(block((1, 1, 1)), (1.0, 1.0, 1.0))))
-    assert corner.claim is MeshClaim.UNDECIDED
+    assert corner.claim is Claim.UNDECIDED
     assert "1 vertices of the boundary stand where another one stands" in corner.note
 
 
@@ -146,16 +146,16 @@ def test_a_body_wholly_inside_another_crosses_nothing_and_is_refuted() -> None:
 def test_a_void_is_no_cover_and_a_body_in_the_void_neither() -> None:
     hollow = without(block((5, 5, 5)), 1.0, 4.0)
     assert certify_mesh(hollow).sheets == 2
-    assert certify_mesh(hollow).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(hollow).claim is Claim.CERTIFIED
     guest = certify_mesh(together(hollow, moved(block((1, 1, 1)), (1.7, 1.8, 1.9))))
-    assert (guest.claim, guest.sheets) == (MeshClaim.CERTIFIED, 3)
+    assert (guest.claim, guest.sheets) == (Claim.CERTIFIED, 3)
 
 
 def test_tets_laid_over_their_neighbours_are_no_mesh() -> None:
     mesh = block((2, 2, 2))
     doubled = TetMesh(mesh.vertices, np.vstack([mesh.tets, mesh.tets[:1]]))
     found = certify_mesh(doubled)
-    assert found.claim is not MeshClaim.CERTIFIED
+    assert found.claim is not Claim.CERTIFIED
     assert "not conforming" in found.note
 
 
@@ -163,12 +163,12 @@ def test_a_corner_that_hangs_in_a_neighbours_face_is_contact() -> None:
     """One cell of two refined: the old face and the finer ones lie on one another, which counts as crossing."""
     coarse, fine = block((1, 1, 1)), moved(block((2, 2, 2)), (1.0, 0.0, 0.0), 0.5)
     mesh = together(coarse, fine)
-    assert certify_mesh(mesh).claim is not MeshClaim.CERTIFIED
+    assert certify_mesh(mesh).claim is not Claim.CERTIFIED
 
 
 def test_no_tets_are_no_proof_and_odd_positions_are_refused() -> None:
     none = certify_mesh(TetMesh(np.zeros((4, 3)), np.zeros((0, 4), np.int64)))
-    assert (none.claim, none.note) == (MeshClaim.UNDECIDED, "the mesh has no tet")
+    assert (none.claim, none.note) == (Claim.UNDECIDED, "the mesh has no tet")
     flat = block((1, 1, 1))
     assert_refuted(certify_mesh(flat.with_vertices(flat.vertices * (1, 1, 0))), "6 tets are exactly flat")
     with pytest.raises(MeshError, match="not finite"):
@@ -192,6 +192,6 @@ def test_no_certified_mesh_has_a_point_in_two_tets(seed: int, size: float) -> No
     local = np.linalg.solve(edges[solid][None], (points[:, None] - corners[solid][None, :, 0])[..., None])[..., 0]
     inside = ((local > 1e-7).all(axis=2) & (local.sum(axis=2) < 1.0 - 1e-7)).sum(axis=1)
     if inside.max() > 1:
-        assert found.claim is not MeshClaim.CERTIFIED
-    if found.claim is MeshClaim.CERTIFIED:
+        assert found.claim is not Claim.CERTIFIED
+    if found.claim is Claim.CERTIFIED:
         np.testing.assert_array_less(0.0, signed_volumes(vertices, mesh.tets))

@@ -15,8 +15,7 @@ from musclefit.fields.kernels import KERNELS, kernel_named, register
 from musclefit.fields.kernels.model import Enclosure, RadialKernel
 from musclefit.fields.radial import RadialBackend
 from musclefit.geometry.arrays import Float
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 # phi = (1 + q²)^(-1), the inverse quadratic: f_1 = -2 f², f_2 = 8 f³, f_3 = -48 f⁴ with f = 1 / (1 + q²).
 
@@ -110,11 +109,11 @@ def test_its_bounds_hold_at_dense_samples():
 def test_its_steps_are_certified_or_refuted():
     backend = RadialBackend(KERNEL.name, scale=25.0)
     calm = backend.fit(HANDLES, np.random.default_rng(7).normal(size=HANDLES.shape))
-    assert certify_map([(StepKind.EXPLICIT, calm)], HANDLES).claim is MapClaim.CERTIFIED
+    assert certify_map([(StepKind.EXPLICIT, calm)], HANDLES).claim is Claim.CERTIFIED
     swapped = HANDLES.copy()
     swapped[:, 0] = 30.0 - swapped[:, 0]
     wild = backend.fit(HANDLES, swapped - HANDLES)
-    assert certify_map([(StepKind.EXPLICIT, wild)], HANDLES).claim is MapClaim.REFUTED
+    assert certify_map([(StepKind.EXPLICIT, wild)], HANDLES).claim is Claim.REFUTED
 
 
 def test_without_bounds_nothing_is_proved_and_the_reason_is_told():

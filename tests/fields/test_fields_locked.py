@@ -21,8 +21,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.samples import surface_samples
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 
 def ball(centre: tuple[float, float, float], radii: tuple[float, float, float]) -> TriMesh:
@@ -115,8 +114,8 @@ def test_bounds_come_close_to_what_small_boxes_hold(locked):
 
 def test_a_locked_step_is_certified_and_one_too_steep_is_not(locked):
     skin = ball((0.0, 0.0, 1.0), (20.0, 20.0, 45.0))
-    assert certify_map([(StepKind.CAYLEY, locked)], skin).claim is MapClaim.CERTIFIED
-    assert certify_map([(StepKind.CAYLEY, locked.scaled(24.0))], skin).claim is not MapClaim.CERTIFIED
+    assert certify_map([(StepKind.CAYLEY, locked)], skin).claim is Claim.CERTIFIED
+    assert certify_map([(StepKind.CAYLEY, locked.scaled(24.0))], skin).claim is not Claim.CERTIFIED
 
 
 def still(surfaces: list[TriMesh], spacing: float, fade: Fade) -> LockedField:

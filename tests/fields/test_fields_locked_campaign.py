@@ -23,8 +23,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.samples import surface_samples
-from musclefit.rig.settings import StepKind
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim, StepKind
 
 EXACT_MM = 1e-6
 
@@ -129,11 +128,11 @@ class Case:
         assert np.quantile(off, 0.9) < 1e-5  # second derivatives jump between cells, where differences straddle two
         assert off.max() < 0.05
 
-    def proof(self) -> MapClaim:
+    def proof(self) -> Claim:
         """The claim for the box around the bones; what is certified is attacked, and its inverse undoes it."""
         steps = ((StepKind.CAYLEY, self.field),)
         certificate = certify_map(steps, self.everything, max_boxes=60_000)
-        if certificate.claim is MapClaim.CERTIFIED:
+        if certificate.claim is Claim.CERTIFIED:
             beside = self.everything[self.rng.integers(len(self.everything), size=12)]
             attack(Configuration(steps, self.everything, 0.0, beside), certificate, self.rng, optimise=False)
             step, at = CayleyStep(self.field), self.everything[:500]
@@ -159,7 +158,7 @@ def campaign(count: int, first: int = 0) -> tuple[Counter[str], int]:
 
 def test_nothing_escapes_locks_of_random_bones() -> None:
     tally, samples = campaign(4)
-    assert sum(tally[claim.value] for claim in MapClaim) == 4
+    assert sum(tally[claim.value] for claim in Claim) == 4
     assert samples > 1000
 
 
@@ -169,5 +168,5 @@ def test_nothing_escapes_locks_of_hundreds_of_random_bones() -> None:
     tally, samples = campaign(count, first=100)
     print(dict(tally), samples)
     assert samples > 100 * count
-    assert tally[MapClaim.CERTIFIED.value] > 0.25 * count
+    assert tally[Claim.CERTIFIED.value] > 0.25 * count
     assert tally["too steep"] < 0.3 * count

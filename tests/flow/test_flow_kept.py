@@ -26,7 +26,8 @@ from musclefit.io.run_folder import ply_bytes
 from musclefit.pipeline.deformers import locked_march_of
 from musclefit.pipeline.retarget import Retargeting, retarget
 from musclefit.progress import Silent
-from musclefit.rig.settings import BoneLimit, BoneSettings
+from musclefit.rig.settings import BoneSettings
+from musclefit.vocabulary import BoneLimit
 
 RIG = """
 title = "two bones and a muscle in a skin that swells and bends"

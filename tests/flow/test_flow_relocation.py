@@ -17,7 +17,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.progress import Silent
-from musclefit.validate.model import MeshClaim
+from musclefit.vocabulary import Claim
 
 
 def turn(degrees: float) -> RigidMotion:
@@ -47,7 +47,7 @@ def carried(rest: TetAnatomy, where: Points) -> CarriedTets:
 
 def assert_certified(found: CarriedTets) -> None:
     assert (found.inverted_left, found.crossings_left, found.stopped) == (0, 0, "")
-    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is Claim.CERTIFIED
 
 
 def test_where_nothing_is_wrong_nothing_is_moved() -> None:
@@ -110,4 +110,4 @@ def test_what_cannot_be_mended_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     mirror = HeldBones(("bone",), lambda points: points * [1.0, 1.0, -1.0])
     found = mended_tets(carried(rest, rest.mesh.vertices), (mirror,), progress=Silent())
     assert found.stopped == "2 rounds of moving vertices"
-    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is MeshClaim.REFUTED
+    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is Claim.REFUTED

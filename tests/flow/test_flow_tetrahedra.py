@@ -19,7 +19,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TetMesh
 from musclefit.geometry.tets.topology import tet_edges, tet_faces
 from musclefit.progress import Silent
-from musclefit.validate.model import MeshClaim
+from musclefit.vocabulary import Claim
 
 Map = Callable[[Points], Points]
 
@@ -85,7 +85,7 @@ def assert_same_space(before: TetAnatomy, after: CarriedTets, where: Map) -> Non
     np.testing.assert_allclose(fine.volumes_by_tissue(), before.volumes_by_tissue(), rtol=1e-12)
     np.testing.assert_array_equal(fine.mesh.vertices[: len(before.mesh.vertices)], before.mesh.vertices)
     np.testing.assert_allclose(after.vertices, where(fine.mesh.vertices), rtol=0, atol=1e-12)
-    assert certify_mesh(fine.mesh).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(fine.mesh).claim is Claim.CERTIFIED
 
 
 def carried_whole(rest: TetAnatomy, where: Map) -> CarriedTets:
@@ -105,7 +105,7 @@ def test_slivers_that_a_bend_inverts_are_cut_until_the_mesh_is_certified(where: 
     assert found.given == len(rest.mesh.tets)
     assert sum(count for _, count in found.cut_by_tissue) <= found.given
     assert_same_space(rest, found, where)
-    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is Claim.CERTIFIED
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -125,7 +125,7 @@ def test_a_boundary_that_crosses_only_because_it_is_coarse_is_cut_until_it_does_
     both = TetMesh(np.vstack([bar.vertices, shifted]), np.vstack([bar.tets, bar.tets + len(bar.vertices)]))
     labels = np.repeat([0, 1], len(bar.tets))
     rest = replace(two_tissues((4, 1, 1), edge_mm=10.0), mesh=both, tissue_of_tet=labels)
-    assert certify_mesh(rest.mesh).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(rest.mesh).claim is Claim.CERTIFIED
     before = certify_mesh(rest.mesh.with_vertices(where(rest.mesh.vertices)))
     assert before.inverted == 0
     assert before.crossings > 0
@@ -133,7 +133,7 @@ def test_a_boundary_that_crosses_only_because_it_is_coarse_is_cut_until_it_does_
     assert (found.inverted_before, found.crossings_before) == (0, before.crossings)
     assert (found.inverted_left, found.crossings_left, found.stopped) == (0, 0, "")
     assert_same_space(rest, found, where)
-    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(found.rest.mesh.with_vertices(found.vertices)).claim is Claim.CERTIFIED
 
 
 def test_what_comes_out_right_is_left_as_it_is() -> None:

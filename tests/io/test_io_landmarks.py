@@ -9,7 +9,7 @@ import pytest
 
 from musclefit.errors import InputError, LandmarkError
 from musclefit.io.formats.landmarks import COINCIDENT_MM, paired, read_landmarks
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 CSV = "name,bone,x_mm,y_mm,z_mm\nelbow,humerus,1,2,3\nwrist,radius,-4.5,5e1,6\ntip,,7,8,9\n"
 POSITIONS = [[1, 2, 3], [-4.5, 50, 6], [7, 8, 9]]

@@ -16,7 +16,7 @@ from musclefit.pipeline.deformers import deform, deform_in_one_shot
 from musclefit.pipeline.retarget import retarget
 from musclefit.progress import Silent
 from musclefit.rig.lattice import ControlLattice
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 LOW, HIGH, SHAPE = np.array([-70.0, -40.0, -40.0]), np.array([70.0, 40.0, 40.0]), (8, 5, 5)
 

@@ -27,7 +27,8 @@ from musclefit.report.html import PNG_SIGNATURE
 from musclefit.report.model import CONVERGED, MeshReport, Report, Side, TissueSummary
 from musclefit.report.schema import report_schema
 from musclefit.rig.settings import Limits
-from musclefit.validate.model import LandmarkCheck, MapCheck, MapClaim, OverlapCheck, TissueCheck
+from musclefit.validate.model import LandmarkCheck, MapCheck, OverlapCheck, TissueCheck
+from musclefit.vocabulary import Claim
 
 HOSTILE = ("../../x<script>", "/etc/passwd", "a/b", "a\\b", "A b", "a b", "..", "", "nul.txt", "sehne_ß_腱", "x" * 300)
 NAMED = 'outer <&> "x"'
@@ -53,7 +54,7 @@ def _report(anatomy, title="Test"):
         CONVERGED,
         3,
         LandmarkCheck(4, 0.0, "a"),
-        MapCheck(MapClaim.SAMPLED, "rule", 0.5, 10, 0, 0.9, (0.0, 0.0, 0.0)),
+        MapCheck(Claim.SAMPLED, "rule", 0.5, 10, 0, 0.9, (0.0, 0.0, 0.0)),
         None,
         tuple(TissueCheck(t.name, t.kind.value, 1.0, 1.0, 0.0, None, None, None, None, None) for t in anatomy),
         OverlapCheck((), 1, ()),

@@ -18,7 +18,7 @@ from musclefit.io.formats.points import read_points
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import ply_bytes
 from musclefit.pipeline.retarget import retarget
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 SHIFT = np.array([1.0, -20.0, 300.0])
 FCSV = (

@@ -14,7 +14,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.io.anatomy import read_anatomy, read_surface
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 BALL = trimesh.creation.icosphere(1, radius=10.0)
 VERTICES = np.array(BALL.vertices) + [100.0, 200.0, 1000.0] + 1 / 3

@@ -20,8 +20,9 @@ from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import ply_bytes
 from musclefit.rig.bone_fits import RigidPath
 from musclefit.rig.handles import BonePath, StraightPath
-from musclefit.rig.settings import PathKind, TransformDrive, Unit
+from musclefit.rig.settings import TransformDrive
 from musclefit.rig.transforms import BoneTransforms
+from musclefit.vocabulary import PathKind, Unit
 
 README = Path(__file__).resolve().parents[2] / "rigs" / "README.md"
 POINTS = np.random.default_rng(0).uniform(-100.0, 100.0, (20, 3))

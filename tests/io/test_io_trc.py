@@ -10,7 +10,7 @@ import pytest
 from musclefit.errors import LandmarkError
 from musclefit.io.formats.landmarks import paired, read_landmarks
 from musclefit.io.formats.trc import read_trajectories
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 TRC = (
     "PathFileType\t4\t(X/Y/Z)\tstatic.trc\n"

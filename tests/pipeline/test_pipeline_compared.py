@@ -13,7 +13,7 @@ from musclefit.pipeline.comparisons import is_papers_loop, papers_loop
 from musclefit.pipeline.retarget import Retargeting
 from musclefit.progress import CERTIFY, MARCH
 from musclefit.rig.job import Job
-from musclefit.rig.settings import Method
+from musclefit.vocabulary import Method
 
 IMPLICIT = ("deformer.kernel=isochoric-r3", "deformer.step=cayley")
 ALONG_JOINTS = (*IMPLICIT, "deformer.path=joints")

@@ -16,7 +16,7 @@ from musclefit.io.rig_names import find_rig
 from musclefit.pipeline.retarget import Retargeting
 from musclefit.progress import Silent
 from musclefit.rig.job import Job
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim
 
 SPLINES = ("deformer.backend=ffd", "compare.methods=[]")
 STRICT = ("limits.bone_rigidity_mm=0.01", "limits.muscle_volume_percent=1.0")
@@ -38,7 +38,7 @@ def run(job: Job) -> Retargeting:
 def test_a_small_limb_passes_with_rigid_bones_and_a_certified_map(run: Retargeting) -> None:
     report = run.report
     assert (report.verdict, [check.name for check in report.checks if not check.passed]) == ("passed", [])
-    assert run.result.side.map.claim is MapClaim.CERTIFIED
+    assert run.result.side.map.claim is Claim.CERTIFIED
     assert "implicit midpoint isochoric FFD, rigid bones" in run.result.side.method
 
 
@@ -85,7 +85,7 @@ def test_the_real_forearm_passes_by_splines(anatomy_data: Path, monkeypatch: pyt
     forearm = musclefit.read_rig(find_rig("forearm_rigid"), overrides=SPLINES, progress=Silent())
     run = musclefit.retarget(forearm, tets=None)
     assert (run.report.verdict, [check.name for check in run.report.checks if not check.passed]) == ("passed", [])
-    assert run.result.side.map.claim is MapClaim.CERTIFIED
+    assert run.result.side.map.claim is Claim.CERTIFIED
     changes = [abs(t.volume_change_percent or 0.0) for t in run.result.side.of_kind(musclefit.TissueKind.MUSCLE)]
     assert len(changes) == 39
     assert max(changes) < 1.0
@@ -98,6 +98,6 @@ def test_a_whole_body_ends_by_splines(anatomy_data: Path, monkeypatch: pytest.Mo
     body = musclefit.read_rig(find_rig("body_heavy"), overrides=SPLINES, progress=Silent())
     run = musclefit.retarget(body, tets=None)
     assert (run.report.verdict, [check.name for check in run.report.checks if not check.passed]) == ("passed", [])
-    assert run.result.side.map.claim is MapClaim.CERTIFIED
+    assert run.result.side.map.claim is Claim.CERTIFIED
     assert run.result.deformation.stretches <= 3
     assert run.result.side.landmarks.max_error_mm < 1e-9

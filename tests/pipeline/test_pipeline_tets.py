@@ -19,8 +19,8 @@ from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Silent
-from musclefit.validate.model import MeshClaim
 from musclefit.validate.tets import check_tets
+from musclefit.vocabulary import Claim
 from musclefit.workflows.run import prepared_tets
 
 RIGID = ("tets.enabled=true", "bones.handle_spacing_mm=9", "bones.iterations=40")
@@ -39,7 +39,7 @@ def test_the_bent_limb_is_certified_and_its_tissues_are_apart() -> None:
     found = carried_tets(tets, deformation, max_rounds=120, max_growth=1.5, progress=Silent())
     assert (found.inverted_left, found.crossings_left, found.stopped) == (0, 0, "")
     moved = found.rest.mesh.with_vertices(found.vertices)
-    assert certify_mesh(moved).claim is MeshClaim.CERTIFIED
+    assert certify_mesh(moved).claim is Claim.CERTIFIED
     np.testing.assert_allclose(found.rest.volumes_by_tissue(), tets.volumes_by_tissue(), rtol=1e-12, atol=1e-9)
     assert largest_overlap(found.rest, found.vertices) < 1e-6
 
@@ -66,7 +66,7 @@ def test_the_real_forearm_with_rigid_bones_is_certified_and_its_tissues_are_apar
     held = [HeldBones(group.bones, motions[group.bones[0]]) for group in deformed.groups]
     found = mended_tets(moved_tets(tets, deformed.deformation), held, progress=Silent())
     check = check_tets(found.rest, found.vertices)
-    assert (check.claim, check.inverted, check.crossings) == (MeshClaim.CERTIFIED, 0, 0)
+    assert (check.claim, check.inverted, check.crossings) == (Claim.CERTIFIED, 0, 0)
     assert set(found.rest.tissue_of_tet) == set(range(70))
     assert found.left_out_mm3 < 1e-3 * tets.volumes_by_tissue()[skin_of(tets)]
     assert_only_filler_was_left_out(tets, found.rest)

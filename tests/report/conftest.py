@@ -10,16 +10,8 @@ import pytest
 from musclefit.anatomy.findings import Finding
 from musclefit.report.model import CONVERGED, Report, Side
 from musclefit.rig.settings import Limits
-from musclefit.validate.model import (
-    LandmarkCheck,
-    MapCheck,
-    MapClaim,
-    MeshCheck,
-    MeshClaim,
-    OverlapCheck,
-    PairOverlap,
-    TissueCheck,
-)
+from musclefit.validate.model import LandmarkCheck, MapCheck, MeshCheck, OverlapCheck, PairOverlap, TissueCheck
+from musclefit.vocabulary import Claim
 
 
 def _tissue(name: str, kind: str, **changed: Any) -> TissueCheck:
@@ -45,8 +37,8 @@ def _side(**changed: Any) -> Side:
         "status": CONVERGED,
         "steps": 5,
         "landmarks": LandmarkCheck(35, 1e-9, "elbow"),
-        "map": MapCheck(MapClaim.SAMPLED, "row-norm", 0.2, 5000, 0, 0.4, (1.0, 2.0, 3.0)),
-        "mesh": MeshCheck(900, 0, 0.3, 2.0, MeshClaim.CERTIFIED),
+        "map": MapCheck(Claim.SAMPLED, "row-norm", 0.2, 5000, 0, 0.4, (1.0, 2.0, 3.0)),
+        "mesh": MeshCheck(900, 0, 0.3, 2.0, Claim.CERTIFIED),
         "tissues": (_tissue("skin", "skin"), _tissue("biceps", "muscle"), _tissue("humerus", "bone")),
         "overlaps": OverlapCheck((PairOverlap("biceps", "humerus", 2.0, 2.5, 0.25),), 3, ()),
     }

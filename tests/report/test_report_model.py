@@ -10,14 +10,8 @@ import pytest
 from musclefit.report.comparison import compare, worst_first
 from musclefit.report.model import MeshLimits, MeshReport, TissueSummary, absent, checks_against
 from musclefit.rig.settings import Limits
-from musclefit.validate.model import (
-    LandmarkCheck,
-    MapClaim,
-    MeshClaim,
-    NotChecked,
-    OverlapCheck,
-    PairOverlap,
-)
+from musclefit.validate.model import LandmarkCheck, NotChecked, OverlapCheck, PairOverlap
+from musclefit.vocabulary import Claim
 
 
 def _failed(report):
@@ -86,12 +80,12 @@ SABOTAGE = {
     "det negative": (_map(min_jacobian_determinant=-1.0), "folded points"),
     "det infinite": (_map(min_jacobian_determinant=math.inf), "folded points"),
     "no point tested": (_map(points_tested=0), "folded points"),
-    "map refuted": (_map(claim=MapClaim.REFUTED), "map refuted"),
+    "map refuted": (_map(claim=Claim.REFUTED), "map refuted"),
     "one inverted": (_mesh(inverted=1), "inverted tets"),
     "no tet": (_mesh(tets=0), "inverted tets"),
     "ratio nan": (_mesh(min_volume_ratio=math.nan), "inverted tets"),
     "ratio below zero": (_mesh(min_volume_ratio=-0.1), "inverted tets"),
-    "boundary crosses": (_mesh(claim=MeshClaim.REFUTED), "mesh refuted"),
+    "boundary crosses": (_mesh(claim=Claim.REFUTED), "mesh refuted"),
     "bone bends": (_more("bone", rigidity_mm=2.0), "bone off rigid"),
     "bone unknown": (_more("bone", rigidity_mm=None), "bone off rigid"),
     "bone nan": (_more("bone", rigidity_mm=math.nan), "bone off rigid"),

@@ -15,8 +15,9 @@ from musclefit.report.html import render_html
 from musclefit.report.model import checks_against
 from musclefit.report.schema import to_json
 from musclefit.rig.rig_table import known_keys
-from musclefit.rig.settings import Limits, Purpose
+from musclefit.rig.settings import Limits
 from musclefit.validate.model import BoneFieldCheck, Check, MeshRefinement
+from musclefit.vocabulary import Purpose
 
 HELD = BoneFieldCheck(4.0, 100, 10, 0.001, 0.002, 0.1)
 

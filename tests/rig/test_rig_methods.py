@@ -15,19 +15,13 @@ from musclefit.rig.rig_table import apply_overrides, known_keys, parse_rig
 from musclefit.rig.settings import (
     METHOD_SETTINGS,
     AnatomySource,
-    BackendKind,
     BoneSettings,
     DeformerSettings,
     JointDrive,
-    Kernel,
-    Method,
-    PathKind,
     Rig,
-    StepKind,
-    StepRule,
     SurfaceSettings,
-    TestedAt,
 )
+from musclefit.vocabulary import BackendKind, Method, PathKind, StepKind, StepRule, TestedAt
 
 RIGS = Path(__file__).resolve().parents[2] / "rigs"
 
@@ -72,7 +66,7 @@ def test_ten_lines_are_the_best_method() -> None:
         drive=JointDrive("joints.json", (("knee", 60.0),)),
         deformer=DeformerSettings(
             method=Method.RIGID_BONES,
-            kernel=Kernel.ISOCHORIC_R3,
+            kernel="isochoric-r3",
             step=StepKind.CAYLEY,
             path=PathKind.JOINTS,
             degrees_per_step=12.0,
@@ -88,7 +82,7 @@ def test_the_papers_loop_is_its_loop_whatever_drives(drive: str) -> None:
     assert rig.deformer == DeformerSettings(
         method=Method.YU2014,
         backend=BackendKind.RBF,
-        kernel=Kernel.R2_LOG_R,
+        kernel="r2logr",
         step=StepKind.EXPLICIT,
         step_rule=StepRule.ROW_NORM,
         tested_at=TestedAt.ALL_POINTS,

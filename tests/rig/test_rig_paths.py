@@ -10,7 +10,8 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import Handles
 from musclefit.rig.joints import parse_joints
 from musclefit.rig.paths import KeyframeMotions, KeyframePath, ScrewMotions, ScrewPath, motions_of
-from musclefit.rig.settings import JointDrive, PathKind
+from musclefit.rig.settings import JointDrive
+from musclefit.vocabulary import PathKind
 
 HINGES = parse_joints(
     {

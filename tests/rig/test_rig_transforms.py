@@ -12,7 +12,7 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.rig.settings import PathKind, TransformDrive
+from musclefit.rig.settings import TransformDrive
 from musclefit.rig.transforms import (
     BoneTransforms,
     Given,
@@ -20,6 +20,7 @@ from musclefit.rig.transforms import (
     motion_of_quaternion,
     still_findings,
 )
+from musclefit.vocabulary import PathKind
 
 AXIS, CENTRE = np.array([1.0, 2.0, 2.0]) / 3.0, np.array([200.0, -50.0, 30.0])
 POINTS = np.random.default_rng(0).uniform(-100.0, 100.0, (20, 3))

@@ -7,14 +7,14 @@ import pytest
 
 from musclefit.errors import InputError
 from musclefit.validate.maps import check_map
-from musclefit.validate.model import MapClaim
+from musclefit.vocabulary import Claim
 
 POINTS = np.arange(12.0).reshape(4, 3)
 
 
 def test_a_map_without_a_fold_is_sampled_not_certified():
     check = check_map(np.array([1.0, 0.2, 3.0, 1.0]), points=POINTS, rule="row-norm", margin=0.5)
-    assert check.claim is MapClaim.SAMPLED
+    assert check.claim is Claim.SAMPLED
     assert (check.folded_points, check.points_tested) == (0, 4)
     assert check.min_jacobian_determinant == 0.2
     assert check.place_mm == (3.0, 4.0, 5.0)
@@ -23,7 +23,7 @@ def test_a_map_without_a_fold_is_sampled_not_certified():
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, -np.inf])
 def test_a_fold_refutes_and_is_placed(bad):
     check = check_map(np.array([1.0, 0.5, 3.0, bad]), points=POINTS, rule="row-norm", margin=0.5)
-    assert check.claim is MapClaim.REFUTED
+    assert check.claim is Claim.REFUTED
     assert check.folded_points == 1
     assert check.place_mm == (9.0, 10.0, 11.0)
 

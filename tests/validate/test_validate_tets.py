@@ -12,8 +12,8 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.validate.model import MeshClaim
 from musclefit.validate.tets import check_tets, rest_findings
+from musclefit.vocabulary import Claim
 
 
 def bar() -> TetAnatomy:
@@ -35,7 +35,7 @@ def bar() -> TetAnatomy:
 def test_at_rest_nothing_is_inverted_and_the_mesh_is_certified() -> None:
     rest = bar()
     check = check_tets(rest, rest.mesh.vertices)
-    assert (check.tets, check.inverted, check.claim, check.inverted_by_tissue) == (3, 0, MeshClaim.CERTIFIED, ())
+    assert (check.tets, check.inverted, check.claim, check.inverted_by_tissue) == (3, 0, Claim.CERTIFIED, ())
     np.testing.assert_allclose([check.min_volume_ratio, check.max_volume_ratio], 1.0, rtol=1e-12)
 
 
@@ -45,7 +45,7 @@ def test_a_tet_pushed_through_refutes_and_names_its_tissue() -> None:
     vertices[3, 2] = -0.5  # the muscle's apex goes through the shared face
     vertices[4, 2] = -2.0
     check = check_tets(rest, vertices)
-    assert (check.inverted, check.claim, check.inverted_by_tissue) == (1, MeshClaim.REFUTED, (("muscle", 1),))
+    assert (check.inverted, check.claim, check.inverted_by_tissue) == (1, Claim.REFUTED, (("muscle", 1),))
     np.testing.assert_allclose([check.min_volume_ratio, check.max_volume_ratio], [-0.5, 2.0], rtol=1e-12)
 
 
@@ -65,7 +65,7 @@ def test_a_mirror_inverts_all_and_lists_the_tissue_with_most_first() -> None:
 def test_rotation_and_growth_keep_all_tets() -> None:
     rest = bar()
     check = check_tets(rest, 2.0 * rest.mesh.vertices[:, [1, 2, 0]])
-    assert check.claim is MeshClaim.CERTIFIED
+    assert check.claim is Claim.CERTIFIED
     np.testing.assert_allclose([check.min_volume_ratio, check.max_volume_ratio], 8.0, rtol=1e-12)
 
 
@@ -99,7 +99,7 @@ def test_crossing_boundaries_are_named_by_the_tissues_behind() -> None:
     vertices = np.array(rest.mesh.vertices)
     vertices[5:] += (-4.8, 0.1, 0.1)  # the tet of bone apart runs into the other two
     check = check_tets(rest, vertices)
-    assert (check.inverted, check.claim) == (0, MeshClaim.REFUTED)
+    assert (check.inverted, check.claim) == (0, Claim.REFUTED)
     assert check.crossings == sum(count for _, _, count in check.crossing_tissues) > 0
     assert ("bone", "muscle") in [(a, b) for a, b, _ in check.crossing_tissues]
 

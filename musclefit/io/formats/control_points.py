@@ -9,7 +9,7 @@ import numpy as np
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Points
 from musclefit.io.formats.rows import Rows, csv_lines
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 INDICES = ("i", "j", "k")
 """Columns that number a control point along x, y and z, from 0."""

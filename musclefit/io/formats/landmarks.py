@@ -16,7 +16,7 @@ from musclefit.errors import InputError, LandmarkError
 from musclefit.geometry.arrays import Points, frozen
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
 from musclefit.io.formats.trc import read_trajectories
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 COINCIDENT_MM = 1e-9
 """Two landmarks of a file closer than this are one position written twice, mm; `rig.job` asks more of handles."""

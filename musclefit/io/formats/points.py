@@ -29,7 +29,7 @@ from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
 from musclefit.io.formats.trc import read_trajectories
 from musclefit.io.run_folder import ply_bytes
 from musclefit.rig.job import FurtherPoints
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 Rewrite = Callable[[Points, Path], None]
 """Writes the file with its points, (k, 3) mm, moved to a path."""

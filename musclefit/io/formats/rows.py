@@ -13,7 +13,7 @@ import numpy as np
 
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Float, Points
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 
 @dataclass(frozen=True, slots=True)

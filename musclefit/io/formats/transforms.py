@@ -15,9 +15,9 @@ from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.rows import PositionColumns, Rows
 from musclefit.io.formats.tables import parse_json
-from musclefit.rig.settings import Unit
 from musclefit.rig.table_reader import Section, suggestion
 from musclefit.rig.transforms import BoneTransforms, Given, motion_of_matrix, motion_of_quaternion, said
+from musclefit.vocabulary import Unit
 
 BONE, TIME = "bone", "time_s"
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))

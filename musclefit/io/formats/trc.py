@@ -8,7 +8,7 @@ import numpy as np
 
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Float, Points
-from musclefit.rig.settings import Unit
+from musclefit.vocabulary import Unit
 
 _FIRST_MARKER = 2
 """Columns before the first marker: frame and time."""

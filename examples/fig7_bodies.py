@@ -220,7 +220,7 @@ def main() -> None:
     print("|" + "---|" * (9 if arguments.no_overlaps else 12))
     rest, tets = None, None
     for name in bodies:
-        job = read_rig(find_rig(f"body_{name}"), overrides=(f"deformer.kernel={KERNELS[name].value}",))
+        job = read_rig(find_rig(f"body_{name}"), overrides=(f"deformer.kernel={KERNELS[name]}",))
         for finding in job.findings:
             if finding.code == "cage-crossing":
                 print(f"    {finding.message}")

@@ -1,4 +1,9 @@
-"""musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it."""
+"""musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
+
+One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
+`fit_joint`, `joint_range`, `label_surfaces`, `warp_image` and `export`. They and what they give back are stable, as are
+the other names of this module; what is in the rooms below may change with any version.
+"""
 
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING, Any
@@ -9,6 +14,16 @@ if TYPE_CHECKING:
     from musclefit.anatomy.builtin import upper_limb
     from musclefit.anatomy.mesh_rules import LayerRules
     from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+    from musclefit.errors import (
+        FieldError,
+        InputError,
+        LandmarkError,
+        MeshError,
+        MusclefitError,
+        NotConvergedError,
+        RigError,
+    )
+    from musclefit.fields.kernels.registry import register as register_kernel
     from musclefit.geometry.meshes import TetMesh, TriMesh
     from musclefit.geometry.rigid import RigidMotion
     from musclefit.io.anatomy import read_anatomy
@@ -19,48 +34,94 @@ if TYPE_CHECKING:
     from musclefit.pipeline.inspect import inspect
     from musclefit.pipeline.retarget import retarget
     from musclefit.rig.handles import Handles, StraightPath
-    from musclefit.workflows.run import prepared_tets, save
-    from musclefit.workflows.sequence import planned, read_frames, run_sequence
+    from musclefit.vocabulary import Claim, Unit
+    from musclefit.workflows.cage import cage
+    from musclefit.workflows.check import check
+    from musclefit.workflows.export import export
+    from musclefit.workflows.fit_joint import fit_joint
+    from musclefit.workflows.joint_range import joint_range
+    from musclefit.workflows.label_surfaces import label_surfaces
+    from musclefit.workflows.repair import repair
+    from musclefit.workflows.run import prepared_tets, run, save
+    from musclefit.workflows.sequence import planned, read_frames, run_sequence, sequence
+    from musclefit.workflows.warp_image import warp_image
 
 _HOMES = {
     "Anatomy": "anatomy.model",
+    "Claim": "vocabulary",
+    "FieldError": "errors",
     "Handles": "rig.handles",
+    "InputError": "errors",
+    "LandmarkError": "errors",
     "LayerRules": "anatomy.mesh_rules",
+    "MeshError": "errors",
+    "MusclefitError": "errors",
+    "NotConvergedError": "errors",
+    "RigError": "errors",
     "RigidMotion": "geometry.rigid",
     "StraightPath": "rig.handles",
     "TetMesh": "geometry.meshes",
     "Tissue": "anatomy.model",
     "TissueKind": "anatomy.model",
     "TriMesh": "geometry.meshes",
+    "Unit": "vocabulary",
+    "cage": "workflows.cage",
+    "check": "workflows.check",
+    "export": "workflows.export",
     "find_rig": "io.rigs",
+    "fit_joint": "workflows.fit_joint",
     "inspect": "pipeline.inspect",
+    "joint_range": "workflows.joint_range",
+    "label_surfaces": "workflows.label_surfaces",
+    "planned": "workflows.sequence",
     "prepared_tets": "workflows.run",
     "read_anatomy": "io.anatomy",
-    "planned": "workflows.sequence",
     "read_frames": "workflows.sequence",
     "read_landmarks": "io.formats.landmarks",
     "read_motion": "io.formats.motions",
     "read_rig": "io.rigs",
+    "register_kernel": "fields.kernels.registry",
+    "repair": "workflows.repair",
     "retarget": "pipeline.retarget",
+    "run": "workflows.run",
     "run_sequence": "workflows.sequence",
     "save": "workflows.run",
+    "sequence": "workflows.sequence",
     "tetrahedralise": "meshing.ftetwild",
     "upper_limb": "anatomy.builtin",
+    "warp_image": "workflows.warp_image",
 }
+
+_NAMED_OTHERWISE = {"register_kernel": "register"}
 
 __all__ = [
     "Anatomy",
+    "Claim",
+    "FieldError",
     "Handles",
+    "InputError",
+    "LandmarkError",
     "LayerRules",
+    "MeshError",
+    "MusclefitError",
+    "NotConvergedError",
+    "RigError",
     "RigidMotion",
     "StraightPath",
     "TetMesh",
     "Tissue",
     "TissueKind",
     "TriMesh",
+    "Unit",
     "__version__",
+    "cage",
+    "check",
+    "export",
     "find_rig",
+    "fit_joint",
     "inspect",
+    "joint_range",
+    "label_surfaces",
     "planned",
     "prepared_tets",
     "read_anatomy",
@@ -68,11 +129,16 @@ __all__ = [
     "read_landmarks",
     "read_motion",
     "read_rig",
+    "register_kernel",
+    "repair",
     "retarget",
+    "run",
     "run_sequence",
     "save",
+    "sequence",
     "tetrahedralise",
     "upper_limb",
+    "warp_image",
 ]
 
 
@@ -80,4 +146,9 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that ``import musclefit`` stays quick."""
     if name not in _HOMES:
         raise AttributeError(f"module 'musclefit' has no attribute {name!r}")
-    return getattr(_import_module(f"musclefit.{_HOMES[name]}"), name)
+    return getattr(_import_module(f"musclefit.{_HOMES[name]}"), _NAMED_OTHERWISE.get(name, name))
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,22 +21,19 @@ from musclefit.cli.fit_joint import fit_joint
 from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
-from musclefit.cli.progress import TimedStages
 from musclefit.cli.repair import repair
 from musclefit.cli.sequence import sequence
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
-from musclefit.vocabulary import BackendKind, Unit
+from musclefit.vocabulary import BackendKind
+from musclefit.workflows.progress import TimedStages
 
 # The commands import what reads and computes when they need it, so that slips are told at once.
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
 DEMO_RIG = "upper_limb"
-
-TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks", "averaged-frames", "points-outside-skin")
-"""Findings that are printed before the long work; the report lists them all."""
 
 app = App(
     name="musclefit",
@@ -51,6 +47,7 @@ app = App(
 
 Quiet = Annotated[bool, Parameter(name="--quiet", help="Print nothing but errors.")]
 Json = Annotated[bool, Parameter(name="--json", help="Print report.json instead of a summary.")]
+NoPictures = Annotated[bool, Parameter(name="--no-pictures", help="Draw no pictures, which take seconds.")]
 Tets = Annotated[
     bool | None,
     Parameter(
@@ -70,11 +67,12 @@ def demo(
         Parameter(name="--out", help="Folder for the results; a former run there is replaced.", show_default=True),
     ] = Path("musclefit-out/demo"),
     tets: Tets = None,
+    no_pictures: NoPictures = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
     """Bend the built-in upper limb to elbow 75 degrees, forearm 70 degrees, and prove what was done."""
-    return _run(find_rig(DEMO_RIG), _with_tets((), tets), out=out, quiet=quiet, json=json)
+    return _run(find_rig(DEMO_RIG), (), out=out, tets=tets, pictures=not no_pictures, quiet=quiet, json=json)
 
 
 @app.command(sort_key=2)
@@ -119,6 +117,7 @@ def run(
         ),
     ] = False,
     tets: Tets = None,
+    no_pictures: NoPictures = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -128,10 +127,12 @@ def run(
     folder = out if out is not None else Path("musclefit-out") / path.stem
     return _run(
         path,
-        _with_tets(overrides, tets),
+        overrides,
         out=folder,
         points=points,
+        tets=tets,
         intermediate=intermediate,
+        pictures=not no_pictures,
         quiet=quiet,
         json=json,
     )
@@ -166,23 +167,12 @@ def check(
     json: Json = False,
 ) -> int:
     """Report the overlaps and mesh faults of a layered anatomy as it is."""
-    from musclefit.io.anatomy import read_anatomy
-    from musclefit.io.run_folder import check_writable, write_inspection
-
-    if out is not None:
-        check_writable(out)
-    with TimedStages(shown=not quiet) as stages:
-        source = paths[0] if len(paths) == 1 and paths[0].is_dir() else paths
-        read = read_anatomy(source, units=Unit(units), kinds=parse_kinds(kind), progress=stages)
-        from musclefit.pipeline.inspect import inspect
-
-        found = inspect(read.anatomy, findings=read.findings, title=str(paths[0]), progress=stages)
-    from musclefit.io.provenance import measured
     from musclefit.report.schema import to_json
+    from musclefit.workflows.check import check as examine
 
-    report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
-    if out is not None:
-        write_inspection(out, report)
+    with TimedStages(shown=not quiet) as stages:
+        kinds = parse_kinds(kind)
+        report = examine(paths, out=out, units=units, kinds=kinds, progress=stages).report
     if json:
         _print_json(to_json(report) if out is None else _written(out))
     elif not quiet:
@@ -242,32 +232,25 @@ def _run(
     *,
     out: Path,
     points: Sequence[Path] = (),
+    tets: bool | None = None,
     intermediate: bool = False,
+    pictures: bool = True,
     quiet: bool,
     json: bool,
 ) -> int:
-    from musclefit.io.rigs import read_rig
-    from musclefit.io.run_folder import check_writable
+    from musclefit.workflows.run import run as make
 
-    check_writable(out)
     with TimedStages(shown=not quiet) as stages:
-        job = read_rig(rig, overrides=overrides, points=points, progress=stages)
-        for finding in job.findings:
-            if finding.code in TOLD_BEFORE:
-                stages.say(finding.message)
-        from musclefit.meshing.cache import CACHE_FINDING
-        from musclefit.pipeline.retarget import retarget
-        from musclefit.workflows.run import planned_tets, prepared_tets, save
-
-        plan = planned_tets(job)
-        if plan is not None:
-            stages.say(plan.in_words)
-        tets = prepared_tets(job, progress=stages)
-        for finding in tets.findings if tets is not None else ():
-            if finding.code == CACHE_FINDING:
-                stages.say(finding.message)
-        result = retarget(job, tets=tets, progress=stages)
-        report = save(result, out, seconds=stages.seconds, intermediate=intermediate, progress=stages)
+        report = make(
+            rig,
+            out=out,
+            overrides=overrides,
+            points=points,
+            tets=tets,
+            intermediate=intermediate,
+            pictures=pictures,
+            progress=stages,
+        ).report
     if json:
         _print_json(_written(out))
     elif not quiet:
@@ -275,11 +258,6 @@ def _run(
 
         print_run(report, folder=out)
     return PASSED if report.verdict == "passed" else FAILED
-
-
-def _with_tets(overrides: Sequence[str], tets: bool | None) -> tuple[str, ...]:
-    """What is set over a rig, with what the command line says of tetrahedra."""
-    return (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
 
 
 def _written(folder: Path) -> Any:

@@ -25,12 +25,10 @@ def export(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
 ) -> int:
     """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm."""
-    from musclefit.io.formats.solvers import PLACEHOLDER, check_solver_path, write_solver_file
-    from musclefit.io.run_tets import read_run_tets
+    from musclefit.io.formats.solvers import PLACEHOLDER
+    from musclefit.workflows.export import export as write
 
-    check_solver_path(out)
-    tets = read_run_tets(run, shape=shape)
-    write_solver_file(out, tets)
+    tets = write(run, out, shape=shape)
     if not quiet:
         sets = tets.sets
         print(f"wrote {out}: {len(tets.vertices)} nodes, {len(tets.tets)} tetrahedra in {len(sets)} sets, mm")

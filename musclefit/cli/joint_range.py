@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.progress import TimedStages
-from musclefit.io.rig_names import find_rig
+from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
     from musclefit.validate.joint_ranges import JointRange, RangeEnd
@@ -29,23 +28,17 @@ def joint_range(
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON instead of a table.")] = False,
 ) -> int:
     """Say how far each joint can turn before bones run into each other, both ways from rest, the others at rest."""
-    from musclefit.errors import InputError
-    from musclefit.io.rigs import read_rig
-    from musclefit.pipeline.poses import ranges_of
+    from musclefit.workflows.joint_range import joint_range as measure
 
-    path = find_rig(rig)
     with TimedStages(shown=not quiet) as stages:
-        job = read_rig(path, overrides=set, progress=stages)
-        if job.joints is None:
-            raise InputError(f'{job.source}: no joint drives this rig; give it a [drive] of kind "joints"')
-        with stages.stage("joint ranges"):
-            ranges = ranges_of(job)
+        found = measure(rig, overrides=set, progress=stages)
+    title, ranges = found.title, found.ranges
     if json:
         from musclefit.report.schema import joint_ranges_to_json
 
-        print(json_text.dumps({"title": job.rig.title, "joint_ranges": joint_ranges_to_json(ranges)}, indent=2))
+        print(json_text.dumps({"title": title, "joint_ranges": joint_ranges_to_json(ranges)}, indent=2))
     else:
-        _print(job.rig.title, ranges)
+        _print(title, ranges)
     return PASSED
 
 

@@ -7,9 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.progress import TimedStages
-from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
+from musclefit.workflows.progress import TimedStages
 
 PASSED = 0
 
@@ -24,21 +23,10 @@ def label_surfaces(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
 ) -> int:
     """Make the closed, layered surfaces of a segmentation, which a rig reads as its anatomy."""
-    from musclefit.io.label_maps import read_label_anatomy
-    from musclefit.io.run_folder import file_names, ply_bytes
+    from musclefit.workflows.label_surfaces import label_surfaces as make
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(
-            f"{out}: is not an empty folder; surfaces of former labels would mix with new ones: choose another"
-        )
     with TimedStages(shown=not quiet) as stages:
-        read = read_label_anatomy(image, names, frame=frame, progress=stages)
-        out.mkdir(parents=True, exist_ok=True)
-        called = file_names([tissue.name for tissue in read.anatomy])
-        for tissue in read.anatomy:
-            folder = out / tissue.kind.value
-            folder.mkdir(exist_ok=True)
-            (folder / f"{called[tissue.name]}.ply").write_bytes(ply_bytes(tissue.surface))
+        read = make(image, names, out, frame=frame, progress=stages)
     if not quiet:
         for finding in read.findings:
             print(finding.message)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as json_text
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,9 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from musclefit.cli.progress import TimedStages
-from musclefit.errors import InputError
-from musclefit.vocabulary import Unit
+from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
     from musclefit.anatomy.repair.records import Repaired
@@ -103,39 +100,28 @@ def repair(
     Exit code 1 where a surface is not valid, farther from the original than the limit, changed too much in volume or
     fell apart, or where overlaps are left; all is written then too.
     """
-    from musclefit.anatomy.repair.records import RepairSettings
-    from musclefit.anatomy.repair.resolutions import Choice, Rule
     from musclefit.cli.kinds import parse_kinds
-    from musclefit.io.provenance import measured
-    from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repair
-    from musclefit.pipeline.repair import repair as repaired
     from musclefit.report.repairs import repair_json
+    from musclefit.workflows.repair import repair as mend
 
-    if resolve == "none" and (rule != "least-loss" or clearance_mm != CLEARANCE_MM):
-        raise InputError("--rule and --clearance-mm say how overlaps are taken away; add --resolve priority or split")
-    settings = RepairSettings(
-        limit_mm=limit_mm,
-        thicken_mm=thicken_mm,
-        stray_percent=stray_percent,
-        clearance_mm=clearance_mm,
-        max_change_percent=max_change_percent,
-    )
-    check_target(source, out)
     with TimedStages(shown=not quiet) as stages:
-        files = read_raw(source, units=Unit(units), kinds=parse_kinds(kind), progress=stages)
-        result = repaired(
-            files.tissues,
-            settings=settings,
-            rule=Rule(resolve),
-            choice=Choice(rule),
-            filler=None if local_only else tetrahedra,
-            title=str(source),
-            findings=files.findings,
+        result = mend(
+            source,
+            out,
+            write=not dry_run,
+            resolve=resolve,
+            rule=rule,
+            clearance_mm=clearance_mm,
+            max_change_percent=max_change_percent,
+            limit_mm=limit_mm,
+            thicken_mm=thicken_mm,
+            stray_percent=stray_percent,
+            local_only=local_only,
+            units=units,
+            kinds=parse_kinds(kind),
             progress=stages,
         )
-    known = measured(stages.seconds, provenance={"input_sha256": dict(files.hashes)})
-    result = replace(result, report=replace(result.report, **known))
-    written = () if dry_run else write_repair(out, result, files=files)
+    written = result.written
     if json:
         print(json_text.dumps(repair_json(result.report), indent=2, allow_nan=False))
     elif not quiet:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json as json_text
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.progress import TimedStages
 from musclefit.io.rig_names import find_rig
 from musclefit.rig.motion import Interpolation
+from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
     from musclefit.report.sequence import SequenceReport
@@ -27,11 +28,11 @@ def sequence(
     /,
     *,
     frames: Annotated[
-        int, Parameter(name="--frames", help="How many, evenly spaced in time. Without it: motion.frames of the rig.")
+        int, Parameter(name="--frames", help="How many, evenly spaced in time. Without it: drive.frames of the rig.")
     ] = 0,
     interpolation: Annotated[
         Interpolation | None,
-        Parameter(name="--interpolation", help="Between keyframes. Without it: motion.interpolation of the rig."),
+        Parameter(name="--interpolation", help="Between keyframes. Without it: drive.interpolation of the rig."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -53,19 +54,30 @@ def sequence(
     ] = False,
     no_film: Annotated[bool, Parameter(name="--no-film", negative="", help="Make no film and no pictures.")] = False,
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: Annotated[bool, Parameter(name="--json", negative="", help="Print report.json, not a summary.")] = False,
 ) -> int:
     """Follow a motion: every frame from rest, checked; muscle measures, series, film and report."""
-    from musclefit.io.rigs import read_rig
-    from musclefit.workflows.sequence import planned, run_sequence
-    from musclefit.workflows.sequence_outputs import write_outputs
+    from musclefit.workflows.sequence import sequence as follow
 
-    path = find_rig(rig)
-    folder = out if out is not None else Path("musclefit-out") / path.stem
+    folder = out if out is not None else Path("musclefit-out") / find_rig(rig).stem
     with TimedStages(shown=not quiet) as stages:
-        job = read_rig(path, overrides=set, progress=stages)
-        plan = planned(job, motion=motion, frames=frames, interpolation=interpolation)
-        report = run_sequence(plan, folder, workers=workers or _processors(), between=not no_between, progress=stages)
-        write_outputs(plan, folder, report, film=not no_film, progress=stages)
+        report = follow(
+            rig,
+            motion,
+            out=folder,
+            frames=frames,
+            interpolation=interpolation,
+            workers=workers or _processors(),
+            overrides=set,
+            between=not no_between,
+            film=not no_film,
+            progress=stages,
+        ).report
+    if json:
+        from musclefit.report.sequence import sequence_to_json
+
+        print(json_text.dumps(sequence_to_json(report), indent=2, allow_nan=False, default=str))
+        return PASSED if report.verdict == "passed" else FAILED
     if not quiet:
         _print(report, folder)
     return PASSED if report.verdict == "passed" else FAILED

@@ -55,7 +55,9 @@ class Panel:
                 )
 
 
-def tissue_panels(panels: tuple[Panel, ...], view: View, *, colours: Mapping[str, Colour], height_px: int) -> Any:
+def tissue_panels(
+    panels: tuple[Panel, ...], view: View, *, colours: Mapping[str, Colour], height_px: int, off_screen: bool = True
+) -> Any:
     """Panels side by side: skin translucent, every other tissue in its colour, folds and overlaps in front of all.
 
     Parameters
@@ -66,13 +68,15 @@ def tissue_panels(panels: tuple[Panel, ...], view: View, *, colours: Mapping[str
     colours : mapping of tissue name to colour
     height_px : int
         Height of the picture; the width follows from the view.
+    off_screen : bool
+        Whether it is drawn without a window.
 
     Returns
     -------
     pyvista.Plotter
         Unshown; the caller shows or closes it.
     """
-    plotter = _plotter(len(panels), view, height_px)
+    plotter = _plotter(len(panels), view, height_px, off_screen=off_screen)
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
         for tissue in panel.anatomy:
@@ -127,10 +131,13 @@ def surface(mesh: TriMesh) -> Any:
     return pv.PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
 
 
-def _plotter(count: int, view: View, height_px: int) -> Any:
+def _plotter(count: int, view: View, height_px: int, *, off_screen: bool = True) -> Any:
     aspect = min(max(view.aspect, 0.42), 1.6)
     plotter = pv.Plotter(
-        off_screen=True, shape=(1, count), border=False, window_size=[count * round(aspect * height_px), height_px]
+        off_screen=off_screen,
+        shape=(1, count),
+        border=False,
+        window_size=[count * round(aspect * height_px), height_px],
     )
     plotter.set_background("white")
     return plotter

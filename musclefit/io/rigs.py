@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import StrEnum
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
@@ -61,7 +65,7 @@ _SILENT = Silent()
 
 
 def read_rig(
-    path: str | Path,
+    path: str | Path | Mapping[str, Any],
     *,
     overrides: Sequence[str] = (),
     points: Sequence[Path] = (),
@@ -73,10 +77,10 @@ def read_rig(
 
     Parameters
     ----------
-    path : path of a TOML file
-        See `find_rig` for rigs by name. Relative paths in it start at its folder, those of ``overrides`` too;
-        ``${MUSCLEFIT_DATA}`` stands for that environment variable, or where it is not set for ``../../shared/data``
-        from the rig's folder.
+    path : path of a TOML file, or mapping
+        See `find_rig` for rigs by name; or what such a file would hold, with paths that start at the current folder.
+        Relative paths in a file start at its folder, those of ``overrides`` too; ``${MUSCLEFIT_DATA}`` stands for that
+        environment variable, or where it is not set for ``../../shared/data`` from the rig's folder.
     overrides : sequence of str
         ``key=value`` each; see `musclefit.rig.rig_table.apply_overrides`.
     points : sequence of path
@@ -97,9 +101,13 @@ def read_rig(
     LandmarkError, MeshError
         Landmarks, cages or surfaces that cannot be used.
     """
-    rig_path = Path(path)
+    rig_path = Path("rig") if isinstance(path, Mapping) else Path(path)
     files = NamedFiles(rig_path)
-    table = parse_toml(files.read(rig_path, key=""), source=str(rig_path))
+    if isinstance(path, Mapping):
+        table = _plain_table(path)
+        files.keep(rig_path, sha256(json.dumps(table, sort_keys=True).encode()).hexdigest())
+    else:
+        table = parse_toml(files.read(rig_path, key=""), source=str(rig_path))
     if overrides:
         table = apply_overrides(table, overrides, source=str(rig_path))
     rig = _resolved(parse_rig(table, source=str(rig_path)), files)
@@ -128,6 +136,24 @@ def read_rig(
         stops=_stops(rig.drive),
         transforms=driver.transforms if isinstance(driver, OnTransforms) else None,
     )
+
+
+def _plain_table(rig: Mapping[str, Any]) -> dict[str, Any]:
+    """What a rig file would hold: paths as text, mappings as tables, sequences as lists."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {str(key): plain(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(item) for item in value]
+        return str(value) if isinstance(value, Path | StrEnum) else value
+
+    table: dict[str, Any] = plain(rig)
+    try:
+        json.dumps(table)
+    except TypeError as error:
+        raise RigError(f"rig: {error}; give text, numbers, booleans, lists and mappings") from None
+    return table
 
 
 def _resolved(rig: Rig, files: NamedFiles) -> Rig:

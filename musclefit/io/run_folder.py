@@ -260,6 +260,20 @@ def _write_states(folder: Path, states: Iterable[State], *, names: Mapping[str, 
         (folder / "states.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def write_new_folder(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder that is new or empty, all of them or none.
+
+    Parameters
+    ----------
+    folder : Path
+    files : mapping of path below the folder, with /, to bytes
+    """
+    with _replacing(_resolved(folder)) as build:
+        for name, data in files.items():
+            (build / name).parent.mkdir(parents=True, exist_ok=True)
+            (build / name).write_bytes(data)
+
+
 def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json) -> tuple[Path, ...]:
     """Fill a new folder, add the report that lists its files, and put it in place."""
     check_writable(folder)

@@ -126,23 +126,6 @@ def rest_distance(anatomy: Anatomy, rest: Anatomy) -> float:
     return float(np.linalg.norm(anatomy.vertices() - rest.vertices(), axis=1).max())
 
 
-def write_atomically(path: Path, text: str) -> Path:
-    """Write a text file beside, then put it in place."""
-    return write_bytes_atomically(path, text.encode("utf-8", errors="backslashreplace"))
-
-
-def write_bytes_atomically(path: Path, data: bytes) -> Path:
-    """Write a file beside, then put it in place."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    build = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}")
-    try:
-        build.write_bytes(data)
-        return build.replace(path)
-    except BaseException:
-        build.unlink(missing_ok=True)
-        raise
-
-
 def _record(frame: Frame, *, job: Job, cpu_s: Mapping[str, float]) -> dict[str, Any]:
     pose = frame.pose
     rests = at_rest(job, pose) and frame.anatomy is not None

@@ -1,28 +1,192 @@
-"""A run's outside: tetrahedra from the cache, pictures, and everything written to one folder."""
+"""One run, from a rig to a folder: read it, tetrahedra from the cache, deform and check, pictures, all written."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
 from musclefit.anatomy.mesh_rules import LayerRules
+from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.caches import default_cache_folder
 from musclefit.figures.panels import Marks
-from musclefit.figures.stills import stills
+from musclefit.figures.stills import Stills, stills
 from musclefit.flow.bones import moving_together, poses_on_the_way
+from musclefit.flow.deformation import Deformation
 from musclefit.io.provenance import measured
-from musclefit.io.run_folder import DeformedTets, write_run
-from musclefit.meshing.cache import TetCache, TetPlan, default_limit_mb
+from musclefit.io.rigs import read_rig
+from musclefit.io.run_folder import DeformedTets, check_writable, write_run
+from musclefit.meshing.cache import CACHE_FINDING, TetCache, TetPlan, default_limit_mb
 from musclefit.pipeline.intermediate_states import states
-from musclefit.pipeline.retarget import Outcome, Retargeting
+from musclefit.pipeline.retarget import Outcome, Retargeting, retarget
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import FurtherPoints, Job
 from musclefit.rig.settings import TetSettings
+from musclefit.validate.model import Check
+from musclefit.workflows.given import RigGiven, rig_given
+from musclefit.workflows.progress import watched
+from musclefit.workflows.results import Shown
+
+TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks", "averaged-frames", "points-outside-skin")
+"""Findings that are told before the long work; the report lists them all."""
+
+DEMO_RIG = "upper_limb"
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Run(Shown):
+    """A run that is done.
+
+    Parameters
+    ----------
+    made : Retargeting
+        Result and what it is compared with: maps, surfaces, tetrahedra.
+    report : Report
+        As in report.json.
+    folder : Path or None
+        Where it was written.
+    """
+
+    made: Retargeting
+    report: Report
+    folder: Path | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the result keeps all of its limits."""
+        return self.report.verdict == "passed"
+
+    @property
+    def job(self) -> Job:
+        """The rig with all that its files hold."""
+        return self.made.job
+
+    @property
+    def deformation(self) -> Deformation:
+        """The map: takes (N, 3) points in mm, gives where they go; with Jacobian and inverse."""
+        return self.made.result.deformation
+
+    @property
+    def rest(self) -> Anatomy:
+        """The tissues before, on the triangles of ``deformed``."""
+        return self.made.result.rest
+
+    @property
+    def deformed(self) -> Anatomy:
+        """The tissues after."""
+        return self.made.result.deformed
+
+    @property
+    def tets(self) -> DeformedTets | None:
+        """The tetrahedra at rest and where their vertices go; None where none were made."""
+        tets, vertices = self.made.result.tets, self.made.result.tet_vertices
+        return None if tets is None or vertices is None else DeformedTets(tets, vertices)
+
+    def said(self) -> str:
+        """Verdict, claims and size in a line."""
+        side = self.report.result
+        mesh = "none" if side.mesh is None else side.mesh.claim.value
+        return (
+            f"{self.report.title}: {self.report.verdict}; map {side.map.claim.value}, mesh {mesh}; {side.steps} steps, "
+            f"{len(side.tissues)} tissues" + (f"; in {self.folder}" if self.folder is not None else "")
+        )
+
+    def tables(self) -> Mapping[str, Iterable[Any]]:
+        """Checks, tissues, overlapping pairs and findings."""
+        side = self.report.result
+        return {
+            "checks": self.report.checks,
+            "tissues": side.tissues,
+            "overlaps": side.overlaps.pairs,
+            "findings": self.report.findings,
+        }
+
+    def checks_shown(self) -> tuple[Check, ...]:
+        """All of the result's."""
+        return self.report.checks
+
+    def plot(self) -> Any:
+        """A pyvista plotter with the tissues before and after, side by side: call its ``show``."""
+        from musclefit.figures.camera import principal_views
+        from musclefit.figures.colours import tissue_colours
+        from musclefit.figures.panels import Panel, tissue_panels
+
+        panels = (Panel("At rest", self.rest), Panel("Result", self.deformed))
+        view = principal_views(np.concatenate([self.rest.vertices(), self.deformed.vertices()]))[0]
+        return tissue_panels(panels, view, colours=tissue_colours(self.rest), height_px=800, off_screen=False)
+
+
+def run(
+    rig: RigGiven,
+    *,
+    out: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    points: Sequence[str | Path] = (),
+    tets: bool | None = None,
+    intermediate: bool = False,
+    pictures: bool = True,
+    progress: Progress | None = None,
+) -> Run:
+    """Run a rig: deform its anatomy, check the result, write surfaces, tetrahedra and report.
+
+    Parameters
+    ----------
+    rig : str, path or mapping
+        The name of a built-in rig, a rig file, or what such a file would hold, with paths that start at the current
+        folder.
+    out : path, optional
+        Folder for the results, as `musclefit run` writes them; a former run there is replaced. Without it nothing is
+        written.
+    overrides : sequence of str
+        ``key=value`` each, such as ``"drive.pose.elbow_deg=60"``.
+    points : sequence of path
+        Files of points to take along.
+    tets : bool, optional
+        Whether to make tetrahedra, whatever the rig says.
+    intermediate : bool
+        Whether to write the surfaces after each step of the way too.
+    pictures : bool
+        Whether to draw what is written.
+    progress : Progress, optional
+        Told how far the work is; without it that is shown on terminals and in notebooks.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    RigError, LandmarkError, MeshError, InputError
+        Input that cannot be used, before long work; the message names it, the value found and the way out.
+    """
+    if out is not None:
+        check_writable(Path(out))
+    overrides = (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
+    with watched(progress) as stages:
+        job = read_rig(rig_given(rig), overrides=overrides, points=[Path(path) for path in points], progress=stages)
+        for finding in job.findings:
+            if finding.code in TOLD_BEFORE:
+                stages.say(finding.message)
+        plan = planned_tets(job)
+        if plan is not None:
+            stages.say(plan.in_words)
+        prepared = prepared_tets(job, progress=stages)
+        for finding in prepared.findings if prepared is not None else ():
+            if finding.code == CACHE_FINDING:
+                stages.say(finding.message)
+        made = retarget(job, tets=prepared, progress=stages)
+        if out is None:
+            known = measured(stages.seconds, provenance=made.report.provenance)
+            return Run(made, replace(made.report, **known))
+        report = save(made, out, seconds=stages.seconds, intermediate=intermediate, pictures=pictures, progress=stages)
+    return Run(made, report, Path(out))
 
 
 def planned_tets(job: Job) -> TetPlan | None:
@@ -68,6 +232,7 @@ def save(
     *,
     seconds: Mapping[str, float] | None = None,
     intermediate: bool = False,
+    pictures: bool = True,
     progress: Progress | None = None,
 ) -> Report:
     """Write a run whole: report.json, report.html, surfaces, tetrahedra, pictures.
@@ -81,6 +246,8 @@ def save(
         As measured by who ran it; read when the pictures are done.
     intermediate : bool
         Whether to write the surfaces after each stretch of the way too, to ``intermediate/01``, ...
+    pictures : bool
+        Whether to draw it, which takes seconds.
 
     Returns
     -------
@@ -92,17 +259,7 @@ def save(
     InputError
         The folder holds something else, or cannot be written.
     """
-    with (progress or Silent()).stage("pictures"):
-        drawn = stills(
-            result.job.anatomy,
-            result.result.deformed,
-            beside={
-                title: (outcome.deformed, _marks(outcome))
-                for title, outcome in (("One shot", result.baseline), ("Paper's loop", result.paper_loop))
-                if outcome is not None
-            },
-            marks=_marks(result.result),
-        )
+    drawn = _drawn(result, progress or Silent()) if pictures else Stills(problem="Pictures were not asked for.")
     report = result.report
     report = replace(report, **measured(seconds or {}, provenance=report.provenance))
     tets, vertices = result.result.tets, result.result.tet_vertices
@@ -118,6 +275,20 @@ def save(
         states=states(result) if intermediate else (),
     )
     return report
+
+
+def _drawn(result: Retargeting, progress: Progress) -> Stills:
+    with progress.stage("pictures"):
+        return stills(
+            result.job.anatomy,
+            result.result.deformed,
+            beside={
+                title: (outcome.deformed, _marks(outcome))
+                for title, outcome in (("One shot", result.baseline), ("Paper's loop", result.paper_loop))
+                if outcome is not None
+            },
+            marks=_marks(result.result),
+        )
 
 
 def _moved_points(file: FurtherPoints, result: Retargeting, path: Path) -> None:

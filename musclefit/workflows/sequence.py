@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -14,16 +14,17 @@ from typing import Any
 from musclefit._version import __version__
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
+from musclefit.io.atomic import write_atomically
 from musclefit.io.formats.motions import read_motion
 from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
+from musclefit.io.rigs import read_rig
 from musclefit.io.sequence_frames import (
     SURFACES,
     StoredFrame,
     clear_partial,
     frame_key,
     read_frame,
-    write_atomically,
 )
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.retarget import settings_of
@@ -41,6 +42,10 @@ from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
 from musclefit.rig.settings import JointDrive, TransformDrive
 from musclefit.rig.transforms import BoneTransforms
+from musclefit.validate.model import Check
+from musclefit.workflows.given import RigGiven, rig_given, word
+from musclefit.workflows.progress import watched
+from musclefit.workflows.results import Shown
 from musclefit.workflows.sequence_tasks import examine, make, prepare, read_between
 from musclefit.workflows.worker_pool import Pool
 
@@ -118,6 +123,97 @@ class FrameOnDisk:
         if self.summary.outcome != MADE:
             raise InputError(f"frame {self.summary.number} has no anatomy: {self.summary.problem}")
         return self.rest.with_vertices(self.stored.vertices())
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class FollowedMotion(Shown):
+    """A motion that was followed: the report, and the folder that holds its frames."""
+
+    plan: SequencePlan
+    report: SequenceReport
+    folder: Path
+
+    @property
+    def passed(self) -> bool:
+        """Whether all frames, and what lies between them, keep the limits."""
+        return self.report.verdict == "passed"
+
+    def frames(self) -> Iterator[FrameOnDisk]:
+        """The frames in order of time, read back."""
+        return read_frames(self.plan.job, self.folder)
+
+    def said(self) -> str:
+        """Verdict and frames in a line."""
+        made, all_ = len(self.report.made), len(self.report.frames)
+        return f"{self.report.title}: {self.report.verdict}; {made} of {all_} frames made; in {self.folder}"
+
+    def tables(self) -> Mapping[str, Iterable[Any]]:
+        """Checks, frames, and the measures of the muscles."""
+        heading, *rows = measures_table(self.report.made)
+        frames = [
+            {"number": f.number, "time_s": f.time_s, "outcome": f.outcome, "problem": f.problem, **f.pose_deg}
+            for f in self.report.frames
+        ]
+        muscles = [dict(zip(heading, row, strict=True)) for row in rows]
+        return {"checks": self.report.checks, "frames": frames, "muscles": muscles}
+
+    def checks_shown(self) -> tuple[Check, ...]:
+        """All of them."""
+        return self.report.checks
+
+
+def sequence(
+    rig: RigGiven,
+    motion: str | Path | None = None,
+    *,
+    out: str | Path,
+    frames: int = 0,
+    interpolation: Interpolation | str | None = None,
+    workers: int = 0,
+    overrides: Sequence[str] = (),
+    between: bool = True,
+    film: bool = True,
+    progress: Progress | None = None,
+) -> FollowedMotion:
+    """Follow a motion: every frame from rest, checked; muscle measures, series, film and report.
+
+    Parameters
+    ----------
+    rig : str, path or mapping
+        Driven by joints or transforms; see `musclefit.run`.
+    motion : path, optional
+        CSV of joints' keyframes: time_s, <coordinate>_deg, ...; without it the rig's drive.motion.
+    out : path
+        Folder for the frames; a run that was interrupted there goes on.
+    frames : int
+        How many, evenly spaced in time; 0 for what the rig says.
+    interpolation : {"cubic", "linear"}, optional
+        Between keyframes; without it what the rig says.
+    workers : int
+        Processes, one thread each; 0 for this process alone. A script that asks for more must start its work inside of
+        ``if __name__ == "__main__":``.
+    overrides : sequence of str
+        ``key=value`` each.
+    between : bool
+        Whether to examine what passes between frames.
+    film : bool
+        Whether to draw the frames.
+    progress : Progress, optional
+
+    Raises
+    ------
+    RigError, LandmarkError, MeshError, InputError
+        Input that cannot be used, or a folder that holds something else.
+    """
+    from musclefit.workflows.sequence_outputs import write_outputs
+
+    by = None if interpolation is None else word(Interpolation, interpolation, what="interpolation")
+    with watched(progress) as stages:
+        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        plan = planned(job, motion=motion, frames=frames, interpolation=by)
+        report = run_sequence(plan, out, workers=workers, between=between, progress=stages)
+        write_outputs(plan, Path(out), report, film=film, progress=stages)
+    return FollowedMotion(plan, report, Path(out))
 
 
 def planned(

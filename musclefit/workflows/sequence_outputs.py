@@ -10,8 +10,8 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.figures.colours import tissue_colours
 from musclefit.figures.films import contact_sheet, gif, motion_pictures, mp4, mp4_problem
 from musclefit.figures.rendering import rendering_problem
+from musclefit.io.atomic import write_atomically, write_bytes_atomically
 from musclefit.io.formats.glb import animated_glb
-from musclefit.io.sequence_frames import write_atomically, write_bytes_atomically
 from musclefit.progress import Progress, Silent
 from musclefit.report.sequence import FrameSummary, SequenceReport
 from musclefit.report.sequence_html import render_sequence

@@ -14,7 +14,8 @@ import numpy as np
 
 from musclefit.errors import MusclefitError
 from musclefit.geometry.arrays import Points
-from musclefit.io.sequence_frames import RECORD, VERTICES, frame_folder, write_atomically, write_frame
+from musclefit.io.atomic import write_atomically
+from musclefit.io.sequence_frames import RECORD, VERTICES, frame_folder, write_frame
 from musclefit.pipeline.between import between_frames
 from musclefit.pipeline.sequence import Stage
 from musclefit.progress import Tick

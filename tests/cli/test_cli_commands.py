@@ -314,7 +314,7 @@ def full(*_: object, **__: object) -> None:
 
 
 STAGES = {
-    "read": "musclefit.io.rigs.read_rig",
+    "read": "musclefit.workflows.run.read_rig",
     "tetrahedralise": "musclefit.meshing.ftetwild.fill",
     "march": "musclefit.pipeline.retarget.deform_finely",
     "draw": "musclefit.workflows.run.stills",

@@ -124,7 +124,7 @@ def test_a_rig_says_what_it_is_shown_beside(rig: Path, methods: str, loop: bool,
 
 
 def test_its_march_is_no_part_of_what_the_proof_is_compared_with(rig: Path) -> None:
-    from musclefit.cli.progress import TimedStages
+    from musclefit.workflows.progress import TimedStages
 
     stages = TimedStages(shown=False)
     musclefit.retarget(read(rig, *ALONG_JOINTS), tets=None, progress=stages)

@@ -48,7 +48,7 @@ from musclefit.progress import Progress
 
 SPLIT_WORDS = "split: each keeps what it is deeper in"
 
-CUT = 1.0 + SMOOTH + SLIVER + SHEETS
+CUT = 1.0 + SMOOTH + SLIVER + 0.5 * SHEETS
 """Distance that is cut around other tissues, in clearances: what tidying may take back of it is added."""
 
 ROUNDS = 6

@@ -1,0 +1,93 @@
+"""An anatomy as it is, from its files to a report: overlaps and mesh faults; nothing is moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from musclefit.anatomy.model import Anatomy
+from musclefit.io.anatomy import read_anatomy
+from musclefit.io.provenance import measured
+from musclefit.io.run_folder import check_writable, write_inspection
+from musclefit.pipeline.inspect import inspect
+from musclefit.progress import Progress
+from musclefit.report.model import MeshReport
+from musclefit.validate.model import Check
+from musclefit.vocabulary import Unit
+from musclefit.workflows.given import KindsGiven, kinds_given, paths_given, word
+from musclefit.workflows.progress import watched
+from musclefit.workflows.results import Shown
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Checked(Shown):
+    """An anatomy that was checked: the tissues, the report, and the folder it was written to or None."""
+
+    anatomy: Anatomy
+    report: MeshReport
+    folder: Path | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether it keeps all limits."""
+        return self.report.verdict == "passed"
+
+    def said(self) -> str:
+        """Verdict and size in a line."""
+        pairs = len(self.report.overlaps.pairs)
+        return f"{self.report.title}: {self.report.verdict}; {len(self.report.tissues)} tissues, {pairs} overlap"
+
+    def tables(self) -> Mapping[str, Iterable[Any]]:
+        """Checks, tissues, overlapping pairs and findings."""
+        return {
+            "checks": self.report.checks,
+            "tissues": self.report.tissues,
+            "overlaps": self.report.overlaps.pairs,
+            "findings": self.report.findings,
+        }
+
+    def checks_shown(self) -> tuple[Check, ...]:
+        """All of them."""
+        return self.report.checks
+
+
+def check(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    out: str | Path | None = None,
+    units: Unit | str = Unit.MILLIMETRE,
+    kinds: KindsGiven = (),
+    progress: Progress | None = None,
+) -> Checked:
+    """Report the overlaps and mesh faults of a layered anatomy as it is.
+
+    Parameters
+    ----------
+    paths : path, or sequence of path
+        A folder of closed surfaces, or the files: PLY, STL, OBJ, VTP; one per tissue.
+    out : path, optional
+        Folder for the report; a former one there is replaced.
+    units : {"mm", "cm", "m"}
+        Of the files.
+    kinds : mapping of name or pattern to {"skin", "muscle", "bone", "other"}
+        What tissues are, ahead of what their file names say.
+    progress : Progress, optional
+
+    Raises
+    ------
+    InputError, MeshError
+        Files that cannot be read.
+    """
+    if out is not None:
+        check_writable(Path(out))
+    unit, files = word(Unit, units, what="units"), paths_given(paths)
+    with watched(progress) as stages:
+        source = files[0] if len(files) == 1 and files[0].is_dir() else files
+        read = read_anatomy(source, units=unit, kinds=kinds_given(kinds), progress=stages)
+        found = inspect(read.anatomy, findings=read.findings, title=str(files[0]), progress=stages)
+    report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
+    if out is not None:
+        write_inspection(Path(out), report)
+    return Checked(read.anatomy, report, None if out is None else Path(out))

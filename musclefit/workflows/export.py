@@ -1,0 +1,32 @@
+"""A run's tetrahedra, from its folder to a file that a solver opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from musclefit.io.formats.solvers import LabelledTets, check_solver_path, write_solver_file
+from musclefit.io.run_tets import Shape, read_run_tets
+from musclefit.workflows.given import word
+
+
+def export(run: str | Path, out: str | Path, *, shape: Shape | str = Shape.DEFORMED) -> LabelledTets:
+    """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm.
+
+    Parameters
+    ----------
+    run : path
+        The folder that a run wrote.
+    out : path
+        .feb (FEBio 4.0), .inp (Abaqus), .msh (Gmsh 4.1) or .vtu; replaced.
+    shape : {"deformed", "rest"}
+        Positions after the deformation or before it.
+
+    Raises
+    ------
+    InputError
+        No run, a run without tetrahedra, or a file of another ending.
+    """
+    check_solver_path(Path(out))
+    tets = read_run_tets(Path(run), shape=word(Shape, shape, what="shape"))
+    write_solver_file(Path(out), tets)
+    return tets

@@ -1,0 +1,112 @@
+"""Who watches long work: bars on a terminal and in notebooks, a line per stage elsewhere; keeps their seconds."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
+
+from musclefit.progress import Progress, Tick
+
+LOG = logging.getLogger("musclefit")
+"""Told of every stage where nothing shows bars."""
+
+TOLD_FROM_S, TOLD_EVERY_S = 1.0, 30.0
+"""Off a terminal a stage is told when it has taken so long, and how far it is every so often."""
+
+
+class TimedStages:
+    """Progress that keeps the seconds of each stage.
+
+    Parameters
+    ----------
+    shown : bool
+        Whether to show it: as bars on standard error or in a notebook, or, where there is neither, as lines of the
+        logger "musclefit".
+    beside : Progress or None
+        Told of the same stages.
+    """
+
+    def __init__(self, *, shown: bool, beside: Progress | None = None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._shown, self._beside = shown, beside
+        self._console = Console(file=None if in_notebook() else sys.stderr)
+        self._bars = Bars(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("after"),
+            TimeElapsedColumn(),
+            TextColumn("still"),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+            disable=not shown or not (sys.stderr.isatty() or in_notebook()),
+        )
+
+    def __enter__(self) -> TimedStages:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the bars, on standard error, unless told to be quiet."""
+        if self._shown:
+            self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Tick]:
+        """Open a named stage; its seconds add up when the name comes again."""
+        task = self._bars.add_task(name, total=1.0)
+        start = last = time.perf_counter()
+        with ExitStack() as stack:
+            other = stack.enter_context(self._beside.stage(name)) if self._beside is not None else None
+
+            def tick(fraction: float) -> None:
+                nonlocal last
+                self._bars.update(task, completed=fraction)
+                if other is not None:
+                    other(fraction)
+                now = time.perf_counter()
+                if self._told and now - last > TOLD_EVERY_S:
+                    last = now
+                    LOG.info("%s: %.0f %% after %.0f s", name, 100.0 * fraction, now - start)
+
+            try:
+                yield tick
+            finally:
+                took = time.perf_counter() - start
+                self.seconds[name] = self.seconds.get(name, 0.0) + took
+                self._bars.update(task, completed=1.0)
+                self._bars.stop_task(task)
+                if self._told and took >= TOLD_FROM_S:
+                    LOG.info("%s: %.1f s", name, took)
+
+    @property
+    def _told(self) -> bool:
+        return self._shown and bool(self._bars.disable)
+
+
+def in_notebook() -> bool:
+    """Whether this runs in a notebook's kernel."""
+    shell = sys.modules.get("IPython")
+    return shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell"
+
+
+@contextmanager
+def watched(progress: Progress | None) -> Iterator[TimedStages]:
+    """Timed stages: those given, or new ones that are shown, or that tell a given progress."""
+    if isinstance(progress, TimedStages):
+        yield progress
+        return
+    with TimedStages(shown=progress is None, beside=progress) as stages:
+        yield stages

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_text
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -199,6 +200,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str, or None for those of the process
     """
+    log = logging.getLogger("musclefit")
+    if not log.handlers:
+        told = logging.StreamHandler()  # on standard error: how long stages took, where no bars are shown
+        told.setFormatter(logging.Formatter("musclefit: %(message)s"))
+        log.addHandler(told)
+        log.setLevel(logging.INFO)
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError):  # names that the terminal cannot show must not end a run
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]

@@ -1,0 +1,70 @@
+"""The README and the guides: short enough, no dead link, every block of Python runs, every command line is one."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from musclefit.cli.commands import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "rigs" / "README.md", *sorted((ROOT / "examples" / "docs").glob("*.md"))]
+PYTHON = [
+    (page, number, block)
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S))
+]
+
+
+def test_the_readme_is_read_in_five_minutes() -> None:
+    assert len(PAGES[0].read_text(encoding="utf-8").splitlines()) <= 150
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_no_link_is_dead(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_every_guide_is_found_from_the_readme() -> None:
+    text = PAGES[0].read_text(encoding="utf-8")
+    assert all(f"examples/docs/{page.name}" in text for page in (ROOT / "examples" / "docs").glob("*.md"))
+
+
+@pytest.mark.parametrize(
+    ("page", "number", "block"), PYTHON, ids=[f"{page.parent.name}/{page.stem}-{k}" for page, k, _ in PYTHON]
+)
+def test_blocks_of_python_run(page: Path, number: int, block: str, tmp_path: Path) -> None:
+    """In a process and a folder of their own, as somebody who copies them would run them; what they claim is true."""
+    script = tmp_path / "block.py"
+    script.write_text(f'if __name__ == "__main__":\n{_indented(block)}', encoding="utf-8")
+    environment = os.environ | {"MUSCLEFIT_CACHE": str(tmp_path / "cache")} if "tets" in block else os.environ
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False, env=environment
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "False" not in done.stdout
+
+
+def _indented(block: str) -> str:
+    return "".join(f"    {line}" for line in block.splitlines(keepends=True))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_command_lines_are_commands(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```sh\n(.*?)^```", text, re.M | re.S)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("musclefit ")]
+    inline = [found for found in re.findall(r"`(musclefit [a-z][^`]*)`", text) if not re.search(r"[A-Z|\[]", found)]
+    for line in [*lines, *inline]:
+        words = shlex.split(line)[1:]
+        if words[:1] == ["VERSION"] or len(words) < 2:
+            continue
+        app.parse_args(words, exit_on_error=False, print_error=False)

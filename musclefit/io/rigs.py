@@ -15,49 +15,24 @@ from typing import Any
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, RigError
+from musclefit.io import drives as _drives  # noqa: F401 (makes them known)
 from musclefit.io.anatomy import read_anatomy
-from musclefit.io.drives import (
-    Driver,
-    OnBones,
-    OnFits,
-    OnSkeleton,
-    OnTransforms,
-    Pairs,
-    on_anatomy,
-    read_driver,
-)
 from musclefit.io.formats.points import outside_findings, read_points
 from musclefit.io.formats.tables import parse_toml
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.progress import Progress, Silent
-from musclefit.rig.chain import ChainMotions, chain_findings
-from musclefit.rig.handles import Handles
-from musclefit.rig.handles import Path as HandlePath
+from musclefit.rig.drive import Driver
 from musclefit.rig.job import (
     FurtherPoints,
     Job,
     check_handles,
-    joint_findings,
-    path_by_joints,
-    path_by_pairs,
-    require_bones,
 )
 from musclefit.rig.rig_table import apply_overrides, parse_rig
 from musclefit.rig.settings import (
-    CageDrive,
-    Drive,
-    JointDrive,
-    Keyed,
-    LandmarkDrive,
-    LatticeDrive,
     Rig,
-    SkeletonDrive,
-    TransformDrive,
 )
-from musclefit.rig.spread import bone_landmarks
 from musclefit.rig.table_reader import suggestion
-from musclefit.rig.transforms import still_findings
 
 __all__ = ["builtin_rig_path", "builtin_rigs", "find_rig", "read_rig"]
 
@@ -112,29 +87,35 @@ def read_rig(
         table = apply_overrides(table, overrides, source=str(rig_path))
     rig = _resolved(parse_rig(table, source=str(rig_path)), files)
     further = _read_further(rig, points, files)
-    driver = read_driver(rig, files)
+    driver = rig.drive.read(files, path=rig.deformer.path, rigid_bones=rig.bones.rigid)
     anatomy, findings = _read_anatomy(rig, files, progress=progress)
-    driver = on_anatomy(driver, rig, anatomy, files)
-    findings += _bone_findings(anatomy, driver, files)
+    driver = driver.on_anatomy(anatomy, files)
+    findings += driver.bone_findings(anatomy, files)
     findings += (*driver.findings, *_frame_findings(anatomy, driver, files))
     findings += outside_findings(further, anatomy)
-    handles, handle_path = _driven(rig, anatomy, driver=driver, files=files)
+    parts = driver.parts()
+    try:
+        handles, handle_path = driver.handles_on_path(anatomy)
+        check_handles(handles, handle_path, anatomy=anatomy, stops=rig.drive.moments)
+    except LandmarkError as error:
+        raise files.named("drive", error) from None
     return Job(
         rig=rig,
         anatomy=anatomy,
         findings=findings,
         handles=handles,
         path=handle_path,
-        motions=None if isinstance(driver, Pairs | OnSkeleton) else driver.motions,
+        motions=parts.motions,
         hashes=files.hashes,
         name=rig_path.stem,
         source=str(rig_path),
-        joints=driver.joints if isinstance(driver, OnBones) else None,
-        lattice=driver.lattice if isinstance(driver, Pairs) else None,
+        joints=parts.joints,
+        lattice=parts.lattice,
         overrides=tuple(overrides),
         further=further,
-        stops=_stops(rig.drive),
-        transforms=driver.transforms if isinstance(driver, OnTransforms) else None,
+        stops=rig.drive.moments,
+        transforms=parts.transforms,
+        pose=getattr(rig.drive, "pose", ()),
     )
 
 
@@ -164,7 +145,7 @@ def _resolved(rig: Rig, files: NamedFiles) -> Rig:
     surfaces = tuple(files.find(file, key="anatomy.files") for file in anatomy.files)
     points = tuple(files.find(file, key="anatomy.points") for file in anatomy.points)
     anatomy = replace(anatomy, files=surfaces, points=points)
-    return replace(rig, anatomy=anatomy, drive=_resolved_drive(rig.drive, files))
+    return replace(rig, anatomy=anatomy, drive=rig.drive.resolved(files))
 
 
 def _read_further(rig: Rig, given: Sequence[Path], files: NamedFiles) -> tuple[FurtherPoints, ...]:
@@ -180,26 +161,6 @@ def _read_further(rig: Rig, given: Sequence[Path], files: NamedFiles) -> tuple[F
             raise files.named("anatomy.points", error) from None
         found[read.name] = read
     return tuple(found.values())
-
-
-def _resolved_drive(drive: Drive, files: NamedFiles) -> Drive:
-    match drive:
-        case JointDrive():
-            joints = files.find(drive.joints, key="drive.joints")
-            landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
-            motion = files.find(drive.motion, key="drive.motion") if drive.motion else ""
-            return replace(drive, joints=joints, landmarks=landmarks, motion=motion)
-        case TransformDrive():
-            transforms = files.find(drive.transforms, key="drive.transforms")
-            landmarks = files.find(drive.landmarks, key="drive.landmarks") if drive.landmarks else ""
-            return replace(drive, transforms=transforms, landmarks=landmarks)
-        case LatticeDrive():
-            return replace(drive, displacements=files.find(drive.displacements, key="drive.displacements"))
-        case LandmarkDrive() | CageDrive() | SkeletonDrive():
-            source = files.find(drive.source, key="drive.source")
-            target = files.find(drive.target, key="drive.target") if drive.target else ""
-            keyframes = tuple(replace(k, file=files.find(k.file, key="drive.keyframes")) for k in drive.keyframes)
-            return replace(drive, source=source, target=target, keyframes=keyframes)
 
 
 def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[Anatomy, tuple[Finding, ...]]:
@@ -225,7 +186,7 @@ def _read_anatomy(rig: Rig, files: NamedFiles, *, progress: Progress) -> tuple[A
 
 def _frame_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tuple[Finding, ...]:
     """Raise LandmarkError where drive and anatomy state different frames; a finding where only one states its."""
-    frame, what = driver.frame, "transforms" if isinstance(driver, OnTransforms) else "landmarks"
+    frame, what = driver.frame, driver.of
     stated = set(re.findall(r"\b(?:LPS|RAS)\b", anatomy.frame))
     if not frame or stated == {frame}:
         return ()
@@ -239,51 +200,3 @@ def _frame_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tupl
         "anatomy.frame"
     )
     return (Finding(files.rig.name, "frame-not-stated", message),)
-
-
-def _stops(drive: Drive) -> tuple[float, ...]:
-    """The moments of the keyframes."""
-    return tuple(key.at for key in drive.keyframes) if isinstance(drive, Keyed) else ()
-
-
-def _bone_findings(anatomy: Anatomy, driver: Driver, files: NamedFiles) -> tuple[Finding, ...]:
-    """Which bones the drive leaves to the soft tissue; raise InputError where it moves one that is not there."""
-    subject = files.rig.name
-    match driver:
-        case OnBones(joints=joints):
-            try:
-                require_bones(anatomy, joints)
-            except RigError as error:
-                raise files.named("drive.joints", error) from None
-            return joint_findings(anatomy, joints, subject=subject)
-        case OnTransforms(motions=motions) | OnFits(motions=motions):
-            said, code = "have no transform", "bone-without-transform"
-            if isinstance(driver, OnFits):
-                said, code = "own no landmark", "bone-without-landmarks"
-            found = still_findings(anatomy, tuple(motions.final), subject=subject, said=said, code=code)
-            if isinstance(motions, ChainMotions):
-                found += chain_findings(motions, subject=subject)
-            return found
-        case Pairs() | OnSkeleton():
-            return ()
-
-
-def _driven(rig: Rig, anatomy: Anatomy, *, driver: Driver, files: NamedFiles) -> tuple[Handles, HandlePath]:
-    """The handles and their path, checked."""
-    path: HandlePath
-    try:
-        match driver:
-            case Pairs(handles=handles, target=target, keyframes=keyframes):
-                path = path_by_pairs(handles, target, kind=rig.deformer.path, keyframes=keyframes)
-            case OnSkeleton(handles=handles, path=path) | OnFits(handles=handles, path=path):
-                pass
-            case OnBones(motions=motions, joints=joints, landmarks=landmarks, per_bone=per_bone):
-                handles = landmarks or bone_landmarks(anatomy, joints.bones(), per_bone=per_bone)
-                path = path_by_joints(handles, motions, kind=rig.deformer.path)
-            case OnTransforms(motions=motions, transforms=transforms, landmarks=landmarks, per_bone=per_bone):
-                handles = landmarks or bone_landmarks(anatomy, transforms.bones(), per_bone=per_bone)
-                path = path_by_joints(handles, motions, kind=rig.deformer.path, by="transform")
-        check_handles(handles, path, anatomy=anatomy, stops=_stops(rig.drive))
-    except LandmarkError as error:
-        raise files.named("drive", error) from None
-    return handles, path

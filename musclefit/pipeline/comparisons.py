@@ -10,7 +10,7 @@ from musclefit.fields.kernels import KERNELS
 from musclefit.progress import MARCH, Progress, Tick
 from musclefit.rig.handles import StraightPath
 from musclefit.rig.job import Job
-from musclefit.rig.settings import BoneSettings, CertificateSettings, DeformerSettings, Drive, JointDrive, LandmarkDrive
+from musclefit.rig.settings import BoneSettings, CertificateSettings, DeformerSettings
 from musclefit.vocabulary import BackendKind, Compared, PathKind, StepKind, StepRule
 
 LOOP_MARCH = "march the paper's loop"
@@ -44,7 +44,7 @@ def papers_loop(job: Job) -> Job | None:
     straight = rig.deformer.path is PathKind.STRAIGHT
     loop = replace(
         rig,
-        drive=_plain(rig.drive),
+        drive=rig.drive.plain(),
         deformer=_settings(rig.deformer),
         bones=BoneSettings(),
         surfaces=replace(rig.surfaces, refine=False),
@@ -76,10 +76,3 @@ def _settings(own: DeformerSettings) -> DeformerSettings:
         smoothing=own.smoothing if scalar else 0.0,
         max_steps=own.max_steps,
     )
-
-
-def _plain(drive: Drive) -> Drive:
-    """The drive without what only other methods follow: poses on the way, and bones carried by rigid ones."""
-    if isinstance(drive, JointDrive):
-        return replace(drive, keyframes=())
-    return replace(drive, carried=()) if isinstance(drive, LandmarkDrive) else drive

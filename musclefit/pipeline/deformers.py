@@ -34,7 +34,7 @@ from musclefit.pipeline.kept_bones import bone_limits, kept_choices
 from musclefit.progress import Progress
 from musclefit.rig.handles import BonePath, Handles, JoinedPath
 from musclefit.rig.job import Job
-from musclefit.rig.settings import DeformerSettings, JointDrive, SkeletonDrive
+from musclefit.rig.settings import DeformerSettings
 from musclefit.vocabulary import BackendKind, StepKind, TestedAt
 
 HANDLE_STEPS: Mapping[StepKind, HandleStep] = MappingProxyType(
@@ -207,10 +207,10 @@ def _locked_stepper(job: Job, kept: tuple[KeptBone, ...], progress: Progress) ->
 
 def least_steps(job: Job) -> int:
     """Stretches that the path is cut into at least."""
-    settings, drive = job.rig.deformer, job.rig.drive
+    settings = job.rig.deformer
     turn = 0.0
-    if isinstance(drive, JointDrive):
-        turn = max((abs(angle) for _, angle in drive.pose), default=0.0)
+    if job.joints is not None:
+        turn = max((abs(angle) for _, angle in job.pose), default=0.0)
     elif job.motions is not None:
         turn = max((motion.turn_deg for motion in job.motions.at(1.0).values()), default=0.0)
     # 1e-9: what rounding adds to a whole number of steps.
@@ -252,7 +252,7 @@ def method_in_words(job: Job) -> str:
 
 
 def _path_in_words(job: Job) -> str:
-    kind = "skeleton" if isinstance(job.rig.drive, SkeletonDrive) else job.rig.deformer.path.value
+    kind = job.rig.drive.way or job.rig.deformer.path.value
     keyframes = f" through {len(job.stops)} keyframes" if job.stops else ""
     return f"{kind} paths{keyframes}"
 

@@ -13,7 +13,6 @@ from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job
 from musclefit.rig.joints import JointMotions
 from musclefit.rig.paths import KeyframeMotions
-from musclefit.rig.settings import JointDrive
 from musclefit.validate.bones import (
     BoneCollision,
     RigidBones,
@@ -69,7 +68,7 @@ def refuse_collision(job: Job, bones: RigidBones) -> None:
 
 
 def _remedy(job: Job) -> str:
-    if isinstance(job.rig.drive, JointDrive):
+    if job.joints is not None:
         return (
             "set drive.pose to that or to less, correct the joints (musclefit joint-range says how far each can turn)"
         )
@@ -119,8 +118,7 @@ def ranges_of(job: Job, *, posed_only: bool = False) -> tuple[JointRange, ...]:
         return ()
     only = None
     if posed_only:
-        assert isinstance(job.rig.drive, JointDrive)
-        only = tuple(name for name, degrees in job.rig.drive.pose if degrees)
+        only = tuple(name for name, degrees in job.pose if degrees)
     return joint_ranges(rigid_bones(job.anatomy, job.joints.bones()), job.joints, only=only)
 
 

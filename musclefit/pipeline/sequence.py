@@ -18,7 +18,6 @@ from musclefit.rig.handles import BoneMotions
 from musclefit.rig.job import Job, path_by_joints
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import motions_of
-from musclefit.rig.settings import Drive, JointDrive, TransformDrive
 from musclefit.validate.bones import BoneCollision, RigidBones
 from musclefit.validate.muscles import MuscleMeasures, measure_muscles, muscle_sections
 from musclefit.validate.overlaps import SolidAnatomy, solid_anatomy
@@ -148,20 +147,18 @@ def posed_job(job: Job, pose: Pose) -> Job:
         Neither joints nor transforms drive it, or the pose is none of its joints', or the time none of its bones'.
     """
     require_motion(job)
-    drive: Drive = job.rig.drive
+    kind = job.rig.deformer.path
     motions: BoneMotions
-    if job.transforms is not None and isinstance(drive, TransformDrive):
-        drive = replace(drive, time_s=pose.time_s)
-        motions = job.transforms.motions(drive, kind=job.rig.deformer.path)
+    if job.transforms is not None:
+        motions = job.transforms.motions(pose.time_s, kind=kind)
     else:
         assert job.joints is not None
-        assert isinstance(drive, JointDrive)
-        drive = replace(drive, pose=pose.degrees, keyframes=())
-        motions = motions_of(drive, job.joints, kind=job.rig.deformer.path)
+        motions = motions_of(pose.degrees, job.joints, kind=kind)
     return replace(
         job,
-        rig=replace(job.rig, drive=drive),
+        rig=replace(job.rig, drive=job.rig.drive.at_pose(pose)),
         motions=motions,
+        pose=pose.degrees,
         path=path_by_joints(job.handles, motions, kind=job.rig.deformer.path),
         stops=(),
     )

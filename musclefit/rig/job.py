@@ -88,6 +88,8 @@ class Job:
         Moments of the path's keyframes, which no step passes over.
     transforms : BoneTransforms or None
         For other times of the same bones; None where no transforms drive.
+    pose : tuple of (str, float)
+        The joints' angles at the destination, degrees; none where no joint drives.
     """
 
     rig: Rig
@@ -105,6 +107,7 @@ class Job:
     further: tuple[FurtherPoints, ...] = ()
     stops: tuple[float, ...] = ()
     transforms: BoneTransforms | None = None
+    pose: tuple[tuple[str, float], ...] = ()
 
 
 def path_by_pairs(

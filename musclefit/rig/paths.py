@@ -13,8 +13,7 @@ from musclefit.geometry.arrays import Points, frozen
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.joints import JointSystem
-from musclefit.rig.settings import JointDrive, SkeletonDrive
-from musclefit.rig.skeleton import Skeleton, SkeletonPath, SkeletonPose, ring
+from musclefit.rig.keyframes import PoseKey
 from musclefit.vocabulary import PathKind
 
 FLAT_SHARE = 1e-6
@@ -188,8 +187,18 @@ class KeyframeMotions:
         return {name: (np.array([m for m, _ in line]), np.array([d for _, d in line])) for name, line in knots.items()}
 
 
-def motions_of(drive: JointDrive, joints: JointSystem, *, kind: PathKind) -> BoneMotions:
-    """The bones on the way to the drive's pose: by their joints, through its keyframes, or each on its screw.
+def motions_of(
+    pose: Sequence[tuple[str, float]], joints: JointSystem, *, kind: PathKind, keyframes: Sequence[PoseKey] = ()
+) -> BoneMotions:
+    """The bones on the way to a pose: by their joints, through keyframes, or each on its screw.
+
+    Parameters
+    ----------
+    pose : sequence of (str, float)
+        Joints with their angles, degrees.
+    joints : JointSystem
+    kind : PathKind
+    keyframes : sequence of PoseKey
 
     Raises
     ------
@@ -197,27 +206,7 @@ def motions_of(drive: JointDrive, joints: JointSystem, *, kind: PathKind) -> Bon
         A pose that the joints refuse.
     """
     if kind is PathKind.SCREWS:
-        return ScrewMotions(joints.motions(dict(drive.pose)))
-    if drive.keyframes:
-        return KeyframeMotions(joints, (*((key.at, key.pose) for key in drive.keyframes), (1.0, drive.pose)))
-    return joints.along(dict(drive.pose))
-
-
-def skeleton_of(
-    drive: SkeletonDrive, source: Points, target: Points, *, keyframes: Sequence[tuple[float, Points]], name: str
-) -> tuple[Handles, SkeletonPath]:
-    """A curve's handles and their way from (k, 3) ``source`` to ``target`` through keyframes, mm.
-
-    Raises
-    ------
-    LandmarkError
-        Curves, twists or a normal that `Skeleton`, `SkeletonPose` or `SkeletonPath` refuse.
-    """
-    skeleton = Skeleton(source, np.array(drive.normal), ring(drive.ring_points, radius_mm=drive.ring_mm))
-    still = (0.0,) * len(source)
-    places = [*keyframes, (1.0, target)]
-    twists = [*(key.twist_deg for key in drive.keyframes), drive.twist_deg]
-    poses = tuple(
-        SkeletonPose(at, curve, np.array(twist or still)) for (at, curve), twist in zip(places, twists, strict=True)
-    )
-    return skeleton.handles(name), SkeletonPath(skeleton, poses)
+        return ScrewMotions(joints.motions(dict(pose)))
+    if keyframes:
+        return KeyframeMotions(joints, (*((key.at, key.pose) for key in keyframes), (1.0, tuple(pose))))
+    return joints.along(dict(pose))

@@ -11,77 +11,36 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from enum import StrEnum
-from typing import Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
+from musclefit.rig.drive import DRIVES, Drive
 from musclefit.rig.keyframes import PlaceKey, PoseKey
 from musclefit.rig.methods import settle, with_method
 from musclefit.rig.settings import (
     AnatomySource,
     BoneSettings,
-    CageDrive,
     CertificateSettings,
     CompareSettings,
     DeformerSettings,
-    Drive,
-    JointDrive,
-    LandmarkDrive,
-    LatticeDrive,
     Limits,
     MeshSettings,
     Rig,
-    SkeletonDrive,
     SurfaceSettings,
     TetSettings,
-    TransformDrive,
-    default_path,
     default_purpose,
 )
 from musclefit.rig.table_reader import Section, suggestion
 from musclefit.vocabulary import BackendKind, Compared, Method, PathKind, Purpose, StepKind
 
-Record = TypeVar(
-    "Record",
-    AnatomySource,
-    LandmarkDrive,
-    JointDrive,
-    TransformDrive,
-    CageDrive,
-    LatticeDrive,
-    SkeletonDrive,
-    DeformerSettings,
-    BoneSettings,
-    SurfaceSettings,
-    CertificateSettings,
-    TetSettings,
-    MeshSettings,
-    CompareSettings,
-    Limits,
-)
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Record = TypeVar("Record", bound="DataclassInstance")
 
 _POSE_SUFFIX = "_deg"
 
-
-class DriveKind(StrEnum):
-    """What moves the handles, as `drive.kind` names it."""
-
-    LANDMARKS = "landmarks"
-    JOINTS = "joints"
-    TRANSFORMS = "transforms"
-    CAGE = "cage"
-    LATTICE = "lattice"
-    SKELETON = "skeleton"
-
-
-DRIVES: Mapping[DriveKind, type[Drive]] = {
-    DriveKind.LANDMARKS: LandmarkDrive,
-    DriveKind.JOINTS: JointDrive,
-    DriveKind.TRANSFORMS: TransformDrive,
-    DriveKind.CAGE: CageDrive,
-    DriveKind.LATTICE: LatticeDrive,
-    DriveKind.SKELETON: SkeletonDrive,
-}
 
 _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
     BackendKind.RBF: ("lattice_spacing_mm", "lattice_levels"),
@@ -146,7 +105,7 @@ def parse_rig(table: Mapping[str, Any], *, source: str) -> Rig:
     anatomy = _anatomy(root.section("anatomy"))
     drive = _drive(root.section("drive"))
     bones = _record(BoneSettings, _optional(root, "bones"))
-    deformer = _deformer(_optional(root, "deformer"), path=default_path(drive, bones))
+    deformer = _deformer(_optional(root, "deformer"), path=drive.default_path(rigid_bones=bones.rigid))
     if deformer.step is StepKind.EXPLICIT and not (bones.keep_rigid or bones.keep_similar):
         section = _optional(root, "deformer")
         if "margin_floor" in section:
@@ -236,42 +195,17 @@ def _anatomy(section: Section) -> AnatomySource:
 
 def _drive(section: Section) -> Drive:
     section.require(("kind",))
-    kind = section.choice("kind", DriveKind)
-    others = {
-        f.name: str(other) for other in reversed(list(DRIVES)) if other is not kind for f in fields(DRIVES[other])
-    }
+    kinds = StrEnum("kinds", [(kind.upper(), kind) for kind in DRIVES])  # type: ignore[misc]
+    kind = section.choice("kind", kinds).value
+    others = {f.name: other for other in reversed(list(DRIVES)) if other != kind for f in fields(DRIVES[other])}
     known = {f.name for f in fields(DRIVES[kind])}
     for key in section.table:
         if key in others and key not in known:
             raise section.error(
                 key, f'belongs to kind "{others[key]}", but the kind is "{kind}"; {suggestion(key, known | {"kind"})}'
             )
-    match kind:
-        case DriveKind.LANDMARKS:
-            if "target" in section and "target_prefix" in section:
-                raise section.error("target_prefix", "has no effect beside drive.target; remove one of the two")
-            return _record(LandmarkDrive, section, besides=("kind",))
-        case DriveKind.CAGE:
-            return _record(CageDrive, section, besides=("kind",))
-        case DriveKind.LATTICE:
-            return _record(LatticeDrive, section, besides=("kind",))
-        case DriveKind.SKELETON:
-            return _record(SkeletonDrive, section, besides=("kind",))
-        case DriveKind.TRANSFORMS:
-            _refuse_two_ways_to_landmarks(section)
-            return _record(TransformDrive, section, besides=("kind",))
-        case DriveKind.JOINTS:
-            _refuse_two_ways_to_landmarks(section)
-            if "units" in section and "landmarks" not in section:
-                raise section.error(
-                    "units", "is the unit of drive.landmarks, which is not given (the joints state theirs); remove it"
-                )
-            return _record(JointDrive, section, besides=("kind",))
-
-
-def _refuse_two_ways_to_landmarks(section: Section) -> None:
-    if "landmarks" in section and "landmarks_per_bone" in section:
-        raise section.error("landmarks_per_bone", "has no effect beside drive.landmarks; remove one of the two")
+    DRIVES[kind].check_table(section)
+    return _record(DRIVES[kind], section, besides=("kind",))
 
 
 def _deformer(section: Section, *, path: PathKind) -> DeformerSettings:
@@ -371,7 +305,7 @@ def _listed(section: Section, key: str) -> tuple[str, ...]:
 
 def _place_key(drive: Section, key: Section) -> PlaceKey:
     """A keyframe of places; only a skeleton has a twist."""
-    twisted = drive.table["kind"] == DriveKind.SKELETON
+    twisted = DRIVES[drive.table["kind"]].twisted
     key.refuse_unknown(("at", "file", "twist_deg") if twisted else ("at", "file"))
     key.require(("at", "file"))
     return PlaceKey(key.number("at"), key.text("file"), key.numbers("twist_deg") if "twist_deg" in key else ())

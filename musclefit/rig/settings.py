@@ -15,12 +15,10 @@ from musclefit.anatomy.mesh_rules import Gaps
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
 from musclefit.fields.kernels import KERNELS, kernel_named
-from musclefit.rig.keyframes import PlaceKey, PoseKey, require_moments
-from musclefit.rig.motion import Interpolation
+from musclefit.rig.drive import Drive, at_least_one
 from musclefit.rig.table_reader import suggestion
 from musclefit.vocabulary import (
     BackendKind,
-    CageCrossings,
     Compared,
     Method,
     PathKind,
@@ -62,176 +60,6 @@ class AnatomySource:
 
 
 @dataclass(frozen=True, slots=True)
-class LandmarkDrive:
-    """Landmark pairs. ``source`` alone: a CSV with target columns; with ``target``: two files matched by name.
-
-    ``units`` is the length unit of files that state none. The columns of positions and of targets start with
-    ``source_prefix`` and ``target_prefix``: with "child_" and "adult_" they are ``child_x_mm`` and ``adult_x_mm``.
-    Where bones are rigid, ``carried`` holds bones with those (or shell-style patterns for them) that move with them.
-    """
-
-    source: str
-    target: str = ""
-    units: Unit = Unit.MILLIMETRE
-    source_prefix: str = ""
-    target_prefix: str = "target_"
-    carried: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    keyframes: tuple[PlaceKey, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_moments(self.keyframes)
-
-
-@dataclass(frozen=True, slots=True)
-class JointDrive:
-    """Bone landmarks moved by joints: from a file, or ("") ``landmarks_per_bone`` spread over each bone.
-
-    ``pose`` holds joint names with their angles in degrees; joints that it leaves out stay at rest. ``units`` is the
-    length unit of a landmark file that states none; the file of joints states its own. ``motion`` is a file of
-    keyframes that a sequence follows in ``frames`` poses, evenly spaced in time, by ``interpolation``.
-
-    Raises
-    ------
-    RigError
-        A pose without a joint or with an angle that is not finite, or fewer than one landmark per bone.
-    """
-
-    joints: str
-    pose: tuple[tuple[str, float], ...]
-    landmarks: str = ""
-    landmarks_per_bone: int = 8
-    units: Unit = Unit.MILLIMETRE
-    motion: str = ""
-    interpolation: Interpolation = Interpolation.CUBIC
-    frames: int = 30
-    keyframes: tuple[PoseKey, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_moments(self.keyframes)
-        if self.frames < 2:
-            raise RigError(f"drive.frames: found {self.frames}; expected at least 2, the first and the last pose")
-        if not self.pose:
-            raise RigError("drive.pose: names no joint; give at least one, for example pose = { elbow_deg = 75 }")
-        for joint, degrees in self.pose:
-            if not math.isfinite(degrees):
-                raise RigError(f"drive.pose.{joint}_deg: found {degrees}; expected a finite angle in degrees")
-        _at_least_one("drive.landmarks_per_bone", self.landmarks_per_bone)
-
-
-@dataclass(frozen=True, slots=True)
-class TransformDrive:
-    """One rigid transform per bone and time, from rest to the pose (`musclefit.rig.transforms`).
-
-    ``time_s`` is the time of the pose, the last where it is None. With ``reference_time_s`` the anatomy rests where
-    the bones are at that time, and the motions start from there. ``units`` is the length unit of files that state none.
-    ``carried`` holds bones with those (or shell-style patterns for them) that move with them. Handles are the
-    ``landmarks`` of a file, or ("") ``landmarks_per_bone`` spread over each bone. A sequence has ``frames`` poses
-    evenly spaced in time, or (0) those of the file.
-
-    Raises
-    ------
-    RigError
-        One frame or fewer than none, a time that is not finite, or fewer than one landmark per bone.
-    """
-
-    transforms: str
-    time_s: float | None = None
-    reference_time_s: float | None = None
-    units: Unit = Unit.MILLIMETRE
-    carried: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    landmarks: str = ""
-    landmarks_per_bone: int = 8
-    frames: int = 0
-
-    def __post_init__(self) -> None:
-        if self.frames < 0 or self.frames == 1:
-            raise RigError(f"drive.frames: found {self.frames}; expected at least 2, or 0 for the file's own times")
-        for key in ("time_s", "reference_time_s"):
-            value = getattr(self, key)
-            if value is not None and not math.isfinite(value):
-                raise RigError(f"drive.{key}: found {value}; expected a finite time in seconds")
-        _at_least_one("drive.landmarks_per_bone", self.landmarks_per_bone)
-
-
-@dataclass(frozen=True, slots=True)
-class CageDrive:
-    """Vertex pairs of two meshes with the same triangles; ``crossings`` says whether they may cross themselves."""
-
-    source: str
-    target: str
-    units: Unit = Unit.MILLIMETRE
-    crossings: CageCrossings = CageCrossings.REFUSE
-    keyframes: tuple[PlaceKey, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_moments(self.keyframes)
-
-
-@dataclass(frozen=True, slots=True)
-class SkeletonDrive:
-    """A curve of landmarks that bends and twists with the sections it carries (`musclefit.rig.skeleton`).
-
-    ``source`` and ``target`` are as in `LandmarkDrive`, the landmarks in order along the curve. ``ring_points`` stand
-    around each of them in a circle of ``ring_mm``, the first along ``normal``. ``twist_deg`` is the turn of each
-    station about the curve at the destination; none is no twist.
-
-    Raises
-    ------
-    RigError
-        Fewer than three points in a ring, a radius that is not positive, or keyframes out of order.
-    """
-
-    source: str
-    ring_mm: float
-    normal: tuple[float, ...]
-    target: str = ""
-    units: Unit = Unit.MILLIMETRE
-    ring_points: int = 4
-    twist_deg: tuple[float, ...] = ()
-    keyframes: tuple[PlaceKey, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_moments(self.keyframes)
-        if self.ring_points < 3:
-            raise RigError(f"drive.ring_points: found {self.ring_points}; expected at least 3")
-        if not 0.0 < self.ring_mm < math.inf:
-            raise RigError(f"drive.ring_mm: found {self.ring_mm}; expected a finite length above 0, in mm")
-        if len(self.normal) != 3:
-            raise RigError(f"drive.normal: has {len(self.normal)} entries; expected a list of 3 numbers")
-
-
-@dataclass(frozen=True, slots=True)
-class LatticeDrive:
-    """Control points of a cubic B-spline lattice, moved one by one.
-
-    The outermost of ``shape`` control points lie on the faces of the box from ``low_mm`` to ``high_mm``. ``units`` is
-    the length unit of a file that states none.
-
-    Raises
-    ------
-    RigError
-        Corners or a shape that are not of three numbers.
-    """
-
-    displacements: str
-    low_mm: tuple[float, ...]
-    high_mm: tuple[float, ...]
-    shape: tuple[int, ...]
-    units: Unit = Unit.MILLIMETRE
-
-    def __post_init__(self) -> None:
-        for key in ("low_mm", "high_mm", "shape"):
-            if len(getattr(self, key)) != 3:
-                raise RigError(f"drive.{key}: found {list(getattr(self, key))}; expected 3 numbers, for x, y and z")
-
-
-Keyed = LandmarkDrive | JointDrive | CageDrive | SkeletonDrive
-"""Drives that can go through keyframes."""
-
-Drive = LandmarkDrive | JointDrive | TransformDrive | CageDrive | SkeletonDrive | LatticeDrive
-
-
-@dataclass(frozen=True, slots=True)
 class DeformerSettings:
     """Which field, which steps, how many.
 
@@ -270,8 +98,8 @@ class DeformerSettings:
 
     def __post_init__(self) -> None:
         _require_kernel(self.kernel, self.kernel_scale_mm)
-        _at_least_one("deformer.max_steps", self.max_steps)
-        _at_least_one("deformer.min_steps", self.min_steps)
+        at_least_one("deformer.max_steps", self.max_steps)
+        at_least_one("deformer.min_steps", self.min_steps)
         if not 0.0 < self.degrees_per_step <= 360.0:
             raise RigError(
                 f"deformer.degrees_per_step: found {self.degrees_per_step}; expected an angle above 0 and up to 360 deg"
@@ -280,7 +108,7 @@ class DeformerSettings:
             raise RigError(f"deformer.limit_share: found {self.limit_share}; expected a share above 0 and up to 1")
         if not 0.0 <= self.margin_floor < 1.0:
             raise RigError(f"deformer.margin_floor: found {self.margin_floor}; expected a share of at least 0, below 1")
-        _at_least_one("deformer.lattice_levels", self.lattice_levels)
+        at_least_one("deformer.lattice_levels", self.lattice_levels)
         if not 0.0 <= self.smoothing < math.inf:
             raise RigError(f"deformer.smoothing: found {self.smoothing}; expected a finite number of at least 0")
         if not 0.0 < self.lattice_spacing_mm < math.inf:
@@ -332,7 +160,7 @@ class BoneSettings:
 
     def __post_init__(self) -> None:
         if self.iterations is not None:
-            _at_least_one("bones.iterations", self.iterations)
+            at_least_one("bones.iterations", self.iterations)
         if self.rigid and (self.keep_rigid or self.keep_similar):
             raise RigError(
                 "bones.keep_rigid and keep_similar: have no effect beside bones.rigid, which moves bones already; "
@@ -394,7 +222,7 @@ class CertificateSettings:
     max_boxes: int = 6_000_000
 
     def __post_init__(self) -> None:
-        _at_least_one("certificate.max_boxes", self.max_boxes)
+        at_least_one("certificate.max_boxes", self.max_boxes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -461,7 +289,7 @@ class MeshSettings:
     sliver_deg: float = 1.0
 
     def __post_init__(self) -> None:
-        _at_least_one("mesh.max_rounds", self.max_rounds)
+        at_least_one("mesh.max_rounds", self.max_rounds)
         if not 1.0 <= self.max_growth < math.inf:
             raise RigError(f"mesh.max_growth: found {self.max_growth}; expected a finite factor of at least 1")
         if not 0.0 <= self.sliver_deg < 60.0:
@@ -598,25 +426,24 @@ class Rig:
     def __post_init__(self) -> None:
         if not self.title.strip():
             raise RigError("title: is empty; say in a few words what the rig does")
-        if self.deformer.path is PathKind.JOINTS and not isinstance(self.drive, JointDrive):
+        drive, rigid = self.drive, self.bones.rigid
+        if self.deformer.path is PathKind.JOINTS and PathKind.JOINTS not in drive.paths:
             raise RigError(
                 f'deformer.path: found "{PathKind.JOINTS}", but no joint drives this rig; write "{PathKind.STRAIGHT}", '
                 'or a [drive] of kind "joints"'
             )
         _require_path(self.drive, self.deformer.path)
-        rigid_landmarks = isinstance(self.drive, LandmarkDrive) and self.bones.rigid
-        if self.deformer.path is PathKind.CHAIN and not (isinstance(self.drive, TransformDrive) or rigid_landmarks):
+        if self.deformer.path is PathKind.CHAIN and not drive.chains(rigid_bones=rigid):
             raise RigError(
                 f'deformer.path: found "{PathKind.CHAIN}", but neither transforms nor landmarks of rigid bones drive '
-                f'this rig; write "{PathKind.JOINTS if isinstance(self.drive, JointDrive) else PathKind.STRAIGHT}"'
+                f'this rig; write "{drive.through}"'
             )
-        moves_bones = isinstance(self.drive, JointDrive | TransformDrive) or self.bones.rigid
-        if self.deformer.degrees_per_step < 360.0 and not moves_bones:
+        if self.deformer.degrees_per_step < 360.0 and not (drive.turns_bones or rigid):
             raise RigError("deformer.degrees_per_step: has no effect where no bone turns; remove it, or use min_steps")
         if self.bones.rigid and self.deformer.smoothing:
             raise RigError("deformer.smoothing: rigid bones are met exactly; remove it, or write bones.rigid = false")
         if self.deformer.backend is BackendKind.LATTICE and (
-            not isinstance(self.drive, LatticeDrive)
+            not drive.by_control_points
             or self.deformer.step is not StepKind.EXPLICIT
             or self.deformer.step_rule is not StepRule.ROW_NORM
         ):
@@ -625,11 +452,7 @@ class Rig:
                 f'of kind "lattice", step "{StepKind.EXPLICIT}" and step_rule "{StepRule.ROW_NORM}"; else write '
                 f'"{BackendKind.FFD}" or "{BackendKind.RBF}"'
             )
-        if isinstance(self.drive, LandmarkDrive) and self.drive.carried and not self.bones.rigid:
-            raise RigError(
-                "drive.carried: has no effect where landmarks move no rigid bone; remove it, or write "
-                "bones.rigid = true"
-            )
+        drive.check_bones(rigid=rigid)
         if self.bones.rigid:
             _require_rigid_bones(self.drive, self.deformer)
         elif self.bones.lock:
@@ -654,37 +477,27 @@ def _require_locking_march(deformer: DeformerSettings) -> None:
         )
 
 
-def default_path(drive: Drive, bones: BoneSettings) -> PathKind:
-    """The path of a rig that names none: a chain where transforms, or landmarks of rigid bones, say bones' motions."""
-    chained = isinstance(drive, TransformDrive) or (isinstance(drive, LandmarkDrive) and bones.rigid)
-    return PathKind.CHAIN if chained else PathKind.STRAIGHT
-
-
 def default_purpose(drive: Drive, deformer: DeformerSettings, bones: BoneSettings) -> tuple[Purpose, str]:
     """What a rig is for that does not say it, and why."""
     if bones.rigid:
         return Purpose.POSING, "bones are rigid"
-    if isinstance(drive, JointDrive | TransformDrive):
-        return Purpose.POSING, f"{'joints' if isinstance(drive, JointDrive) else 'transforms'} move the bones"
-    if isinstance(drive, SkeletonDrive):
-        return Purpose.POSING, "a skeleton drives"
+    if drive.poses_because:
+        return Purpose.POSING, drive.poses_because
     if deformer.path is PathKind.SCREWS:
         return Purpose.POSING, "bones go on screws"
-    handles = {LandmarkDrive: "landmarks", CageDrive: "a cage", LatticeDrive: "a lattice"}[type(drive)]
-    drives = "drive" if handles.endswith("s") else "drives"
     if deformer.backend is BackendKind.RBF and kernel_named(deformer.kernel).isochoric:
-        return Purpose.POSING, f"{handles} {drives} by a kernel that keeps volume"
-    return Purpose.ANOTHER_BODY, f"{handles} {drives} by a field that may change volume"
+        return Purpose.POSING, f"{drive.drives} by a kernel that keeps volume"
+    return Purpose.ANOTHER_BODY, f"{drive.drives} by a field that may change volume"
 
 
 def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:
     """Raise RigError unless the drive says rigid motions of bones and the deformer can follow them."""
-    if not isinstance(drive, JointDrive | TransformDrive | LandmarkDrive):
+    if not drive.can_hold_bones:
         raise RigError(
             "bones.rigid: nothing says how bones move rigidly; use a [drive] of joints, of transforms, or of landmarks "
             "that name their bones, or keep bones from bending with bones.keep_rigid"
         )
-    path = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.CHAIN
+    path = PathKind.JOINTS if PathKind.JOINTS in drive.paths else PathKind.CHAIN
     if (
         deformer.path is PathKind.STRAIGHT
         or deformer.step is not StepKind.CAYLEY
@@ -693,6 +506,20 @@ def _require_rigid_bones(drive: Drive, deformer: DeformerSettings) -> None:
         raise RigError(
             f'bones.rigid: bones move rigidly: write deformer.path = "{path}", step = "{StepKind.CAYLEY}" and '
             f'tested_at = "{TestedAt.ALL_POINTS}", or bones.rigid = false'
+        )
+
+
+def _require_path(drive: Drive, path: PathKind) -> None:
+    """Raise RigError where the drive has no such path, or keyframes that the path would not go through."""
+    if drive.way and path not in drive.paths:
+        raise RigError(f'deformer.path: has no effect on a drive of kind "{drive.kind}", which bends; remove it')
+    if path is PathKind.SCREWS and PathKind.SCREWS not in drive.paths:
+        raise RigError(
+            'deformer.path: only joints, transforms and landmarks know bones that could go on screws; write "straight"'
+        )
+    if drive.moments and path is not drive.through:
+        raise RigError(
+            f'drive.keyframes: have no effect on path "{path}"; write deformer.path = "{drive.through}" or remove them'
         )
 
 
@@ -710,23 +537,3 @@ def _require_kernel(name: str, scale_mm: float | None) -> None:
         raise RigError(f"deformer.kernel_scale_mm: has no effect: kernel {name!r} has no length of its own; remove it")
     if scale_mm is not None and not 0.0 < scale_mm < math.inf:
         raise RigError(f"deformer.kernel_scale_mm: found {scale_mm}; expected a finite length above 0, in mm")
-
-
-def _at_least_one(key: str, value: int) -> None:
-    if value < 1:
-        raise RigError(f"{key}: found {value}; expected at least 1")
-
-
-def _require_path(drive: Drive, path: PathKind) -> None:
-    """Raise RigError where the drive has no such path, or keyframes that the path would not go through."""
-    if isinstance(drive, SkeletonDrive) and path is not PathKind.STRAIGHT:
-        raise RigError('deformer.path: has no effect on a drive of kind "skeleton", which bends; remove it')
-    if path is PathKind.SCREWS and not isinstance(drive, JointDrive | LandmarkDrive | TransformDrive):
-        raise RigError(
-            'deformer.path: only joints, transforms and landmarks know bones that could go on screws; write "straight"'
-        )
-    meets = PathKind.JOINTS if isinstance(drive, JointDrive) else PathKind.STRAIGHT
-    if isinstance(drive, Keyed) and drive.keyframes and path is not meets:
-        raise RigError(
-            f'drive.keyframes: have no effect on path "{path}"; write deformer.path = "{meets}" or remove them'
-        )

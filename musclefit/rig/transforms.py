@@ -19,7 +19,6 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.chain import ChainMotions, carriers_of, some_of
 from musclefit.rig.motion import Pose
 from musclefit.rig.paths import ScrewMotions
-from musclefit.rig.settings import TransformDrive
 from musclefit.rig.table_reader import suggestion
 from musclefit.vocabulary import PathKind
 
@@ -320,8 +319,8 @@ class BoneTransforms:
         poses = [self.at(float(time)) for time in self.times_s]
         return replace(self, carriers=carriers_of(anatomy, some_of(poses)))
 
-    def motions(self, drive: TransformDrive, *, kind: PathKind) -> ScrewMotions | ChainMotions:
-        """The bones' way to their poses at the drive's time, the last where it names none.
+    def motions(self, time_s: float | None, *, kind: PathKind) -> ScrewMotions | ChainMotions:
+        """The bones' way to their poses at a time, the last where it is None.
 
         On a chain each bone is on the screw against its carrier, else on its own from rest.
 
@@ -330,9 +329,9 @@ class BoneTransforms:
         InputError
             A time that some bone does not have, or one where the file states none.
         """
-        if drive.time_s is not None:
+        if time_s is not None:
             self.require_times()
-        final = self.at(self.last_s if drive.time_s is None else drive.time_s)
+        final = self.at(self.last_s if time_s is None else time_s)
         return ChainMotions(final, self.carriers) if kind is PathKind.CHAIN else ScrewMotions(final)
 
     def require_times(self) -> None:

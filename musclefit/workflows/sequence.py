@@ -15,6 +15,7 @@ from musclefit._version import __version__
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically
+from musclefit.io.drives import JointDrive, TransformDrive
 from musclefit.io.formats.motions import read_motion
 from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
@@ -40,7 +41,6 @@ from musclefit.report.sequence import (
 )
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
-from musclefit.rig.settings import JointDrive, TransformDrive
 from musclefit.rig.transforms import BoneTransforms
 from musclefit.validate.model import Check
 from musclefit.workflows.given import RigGiven, rig_given, word

@@ -10,17 +10,10 @@ from typing import Any
 import pytest
 
 from musclefit.errors import RigError
+from musclefit.io.drives import JointDrive
 from musclefit.rig.methods import IDLE, STANDS_FOR
 from musclefit.rig.rig_table import apply_overrides, known_keys, parse_rig
-from musclefit.rig.settings import (
-    METHOD_SETTINGS,
-    AnatomySource,
-    BoneSettings,
-    DeformerSettings,
-    JointDrive,
-    Rig,
-    SurfaceSettings,
-)
+from musclefit.rig.settings import METHOD_SETTINGS, AnatomySource, BoneSettings, DeformerSettings, Rig, SurfaceSettings
 from musclefit.vocabulary import BackendKind, Method, PathKind, StepKind, StepRule, TestedAt
 
 RIGS = Path(__file__).resolve().parents[2] / "rigs"

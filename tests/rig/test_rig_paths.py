@@ -10,7 +10,6 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import Handles
 from musclefit.rig.joints import parse_joints
 from musclefit.rig.paths import KeyframeMotions, KeyframePath, ScrewMotions, ScrewPath, motions_of
-from musclefit.rig.settings import JointDrive
 from musclefit.vocabulary import PathKind
 
 HINGES = parse_joints(
@@ -75,9 +74,8 @@ def test_landmarks_on_a_line_have_no_screw():
 
 def test_a_screw_goes_to_the_same_pose_as_the_joints_by_the_shorter_way():
     pose = (("elbow", 90.0), ("wrist", -90.0))  # the hand ends where it is parallel to its rest: it is only shifted
-    drive = JointDrive("hinges.toml", pose)
-    by_joints = motions_of(drive, HINGES, kind=PathKind.JOINTS)
-    on_screws = motions_of(drive, HINGES, kind=PathKind.SCREWS)
+    by_joints = motions_of(pose, HINGES, kind=PathKind.JOINTS)
+    on_screws = motions_of(pose, HINGES, kind=PathKind.SCREWS)
     assert isinstance(on_screws, ScrewMotions)
     final = by_joints.at(1.0)["hand"]
     np.testing.assert_allclose(on_screws.at(1.0)["hand"].translation, final.translation, rtol=0, atol=1e-14)

@@ -15,18 +15,9 @@ from hypothesis import strategies as st
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
 from musclefit.fields.kernels import KERNELS
+from musclefit.io.drives import CageDrive, JointDrive, LandmarkDrive
 from musclefit.rig.rig_table import apply_overrides, known_keys, parse_rig
-from musclefit.rig.settings import (
-    AnatomySource,
-    BoneSettings,
-    CageDrive,
-    DeformerSettings,
-    JointDrive,
-    LandmarkDrive,
-    Limits,
-    Rig,
-    TetSettings,
-)
+from musclefit.rig.settings import AnatomySource, BoneSettings, DeformerSettings, Limits, Rig, TetSettings
 from musclefit.vocabulary import PathKind, Purpose, StepRule, TestedAt, Unit
 
 JOINTS = """
@@ -146,7 +137,7 @@ WRONG = {
     ),
     "kind is a list": (
         rig_table(drive__kind=["joints"]),
-        'arm.toml: drive.kind: found the list .*expected one of "landmarks", "joints", "transforms", "cage"',
+        'arm.toml: drive.kind: found the list .*expected one of "cage", "joints", "landmarks"',
     ),
     "no joints": (rig_table(drive__joints=None), "arm.toml: drive.joints: is missing"),
     "no pose": (rig_table(drive__pose=None), "arm.toml: drive.pose: is missing"),

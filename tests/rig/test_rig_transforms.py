@@ -12,7 +12,6 @@ from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.rig.settings import TransformDrive
 from musclefit.rig.transforms import (
     BoneTransforms,
     Given,
@@ -155,16 +154,16 @@ def test_another_reference_is_where_the_bones_rest() -> None:
 
 def test_a_run_goes_to_the_last_time_or_to_the_one_named() -> None:
     moving = BoneTransforms.of(given_at("b", (0.0, turned(0.0)), (1.0, turned(30.0))), source="f.csv")
-    same(moving.motions(TransformDrive("f.csv"), kind=PathKind.SCREWS).at(1.0)["b"], turned(30.0))
-    same(moving.motions(TransformDrive("f.csv", time_s=0.5), kind=PathKind.SCREWS).at(1.0)["b"], turned(15.0))
-    same(moving.motions(TransformDrive("f.csv", time_s=0.5), kind=PathKind.SCREWS).at(0.5)["b"], turned(7.5))
+    same(moving.motions(None, kind=PathKind.SCREWS).at(1.0)["b"], turned(30.0))
+    same(moving.motions(0.5, kind=PathKind.SCREWS).at(1.0)["b"], turned(15.0))
+    same(moving.motions(0.5, kind=PathKind.SCREWS).at(0.5)["b"], turned(7.5))
 
 
 def test_one_pose_has_no_times_to_ask_for() -> None:
     still = BoneTransforms.of(given_at("b", (None, turned(30.0))), source="f.csv")
-    same(still.motions(TransformDrive("f.csv"), kind=PathKind.SCREWS).at(1.0)["b"], turned(30.0))
+    same(still.motions(None, kind=PathKind.SCREWS).at(1.0)["b"], turned(30.0))
     for ask in (
-        lambda: still.motions(TransformDrive("f.csv", time_s=0.0), kind=PathKind.SCREWS),
+        lambda: still.motions(0.0, kind=PathKind.SCREWS),
         lambda: still.relative_to(0.0),
         lambda: still.frames(0),
     ):

@@ -171,7 +171,7 @@ def _n_odd(faces: Faces) -> int:
 
 
 def _merged(vertices: Points, faces: Faces, notes: _Notes) -> tuple[Points, Faces]:
-    """Merge exact duplicates where that leaves fewer open edges; a surface that is closed already is never touched."""
+    """Merge exact duplicates where that leaves fewer boundary edges; a closed surface is never touched."""
     before = _n_odd(faces)
     merged: Merged = merge_duplicate_vertices(vertices, faces)
     after = _n_odd(merged.faces)

@@ -36,7 +36,7 @@ class Tissue:
         return replace(self, surface=self.surface.with_vertices(vertices))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Anatomy:
     """Tissues in one frame, outermost first (skin, other, muscle, bone; by name within a kind).
 
@@ -54,6 +54,9 @@ class Anatomy:
 
     tissues: tuple[Tissue, ...]
     frame: str
+
+    def __repr__(self) -> str:
+        return f"Anatomy({len(self.tissues)} tissues, {sum(len(t.surface.vertices) for t in self.tissues)} vertices)"
 
     def __post_init__(self) -> None:
         if not self.tissues:

@@ -143,10 +143,10 @@ def _require_closed(skin: TriMesh) -> None:
         raise MeshError("the skin has no triangles, so nothing is inside it; give a closed surface")
     edges = np.sort(skin.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, counts = np.unique(edges, axis=0, return_counts=True)
-    open_edges = int(np.sum(counts % 2))
-    if open_edges:
+    boundary = int(np.sum(counts % 2))
+    if boundary:
         first = unique[counts % 2 == 1][0].tolist()
         raise MeshError(
-            f"the skin has {open_edges} open edges, the first between vertices {first[0]} and {first[1]}, so nothing "
-            "is inside it; close it before the map is certified"
+            f"the skin has {boundary} boundary edges, the first between vertices {first[0]} and {first[1]}, so "
+            "nothing is inside it; close it before the map is certified"
         )

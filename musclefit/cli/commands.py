@@ -30,7 +30,7 @@ from musclefit.io.rig_names import builtin_rigs, find_rig
 from musclefit.vocabulary import BackendKind
 from musclefit.workflows.progress import TimedStages
 
-# The commands import what reads and computes when they need it, so that slips are told at once.
+# The commands import what reads and computes when they need it, so that mistakes are told at once.
 
 PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
@@ -107,7 +107,7 @@ def run(
         tuple[Path, ...],
         Parameter(
             name="--points",
-            help="A file of further points to take along (CSV, .fcsv, .mrk.json, .trc, .ply, .stl, .obj, .vtp, .vtu), "
+            help="A file of attached points to take along (CSV, .fcsv, .mrk.json, .trc, .ply, .stl, .obj, .vtp, .vtu), "
             "written to points/ in the same format. May be given again.",
         ),
     ] = (),

@@ -74,7 +74,7 @@ class Ridden:
 NOBODY = Ridden(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0, 0)))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Deformation:
     """A map of space composed of steps; apply it to any (N, n) points, mm.
 
@@ -91,6 +91,9 @@ class Deformation:
     records: tuple[StepRecord, ...]
     status: Status
     ridden: Ridden = NOBODY
+
+    def __repr__(self) -> str:
+        return f"Deformation({len(self.steps)} steps, {self.status.value})"
 
     @property
     def stretches(self) -> int:

@@ -11,7 +11,7 @@ from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Faces, Float, Points, Tets, frozen
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class TriMesh:
     """A triangle surface.
 
@@ -28,6 +28,9 @@ class TriMesh:
 
     vertices: Points
     faces: Faces
+
+    def __repr__(self) -> str:
+        return f"TriMesh({len(self.vertices)} vertices, {len(self.faces)} triangles)"
 
     def __post_init__(self) -> None:
         _freeze(self, "faces", corners=3)
@@ -50,7 +53,7 @@ class TriMesh:
         return self.vertices[self.faces]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class TetMesh:
     """A tetrahedral mesh.
 
@@ -67,6 +70,9 @@ class TetMesh:
 
     vertices: Points
     tets: Tets
+
+    def __repr__(self) -> str:
+        return f"TetMesh({len(self.vertices)} vertices, {len(self.tets)} tetrahedra)"
 
     def __post_init__(self) -> None:
         _freeze(self, "tets", corners=4)

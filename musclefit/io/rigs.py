@@ -24,7 +24,7 @@ from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
 from musclefit.progress import Progress, Silent
 from musclefit.rig.drive import Driver
 from musclefit.rig.job import (
-    FurtherPoints,
+    AttachedPoints,
     Job,
     check_handles,
 )
@@ -148,9 +148,9 @@ def _resolved(rig: Rig, files: NamedFiles) -> Rig:
     return replace(rig, anatomy=anatomy, drive=rig.drive.resolved(files))
 
 
-def _read_further(rig: Rig, given: Sequence[Path], files: NamedFiles) -> tuple[FurtherPoints, ...]:
-    """The further points, read; the files' names must differ, since they are written side by side."""
-    found: dict[str, FurtherPoints] = {}
+def _read_further(rig: Rig, given: Sequence[Path], files: NamedFiles) -> tuple[AttachedPoints, ...]:
+    """The attached points, read; the files' names must differ, since they are written side by side."""
+    found: dict[str, AttachedPoints] = {}
     for path in (*(Path(written) for written in rig.anatomy.points), *given):
         try:
             files.read(path, key="anatomy.points")

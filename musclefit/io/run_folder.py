@@ -96,7 +96,7 @@ def write_run(
     points: Mapping[str, Callable[[Path], None]] = _NO_POINTS,
     states: Iterable[State] = (),
 ) -> tuple[Path, ...]:
-    """Write one run: report, page, deformed surfaces, tetrahedra, pictures, further points.
+    """Write one run: report, page, deformed surfaces, tetrahedra, pictures, attached points.
 
     Everything is made in a folder beside the target, which then takes its place; a failure leaves what was there.
 

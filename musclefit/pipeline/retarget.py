@@ -59,7 +59,7 @@ MARGIN_SHARE = 0.25
 """A certified margin is at least this share of the sampled one: a larger one would take many more boxes to prove."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Outcome:
     """What one method made of the anatomy, and what was measured of it.
 
@@ -88,8 +88,11 @@ class Outcome:
     side: Side
     solid: SolidAnatomy
 
+    def __repr__(self) -> str:
+        return f"Outcome({self.side.method}; {self.deformation!r})"
 
-@dataclass(frozen=True, eq=False, slots=True)
+
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Retargeting:
     """One finished run.
 
@@ -117,6 +120,9 @@ class Retargeting:
     findings: tuple[Finding, ...]
     joint_ranges: tuple[JointRange, ...] = ()
     paper_loop: Outcome | None = None
+
+    def __repr__(self) -> str:
+        return f"Retargeting({self.job!r}: {self.report.verdict})"
 
     @property
     def report(self) -> Report:

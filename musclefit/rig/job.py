@@ -28,14 +28,14 @@ SAME_PLACE_MM = 1e-6
 """Handles closer than this are one place: no field can tell them apart at the default landmark limit."""
 
 FAR_DIAGONALS = 1.0
-"""Handles farther outside the anatomy than this many diagonals of its box are taken for a slip of units or frame."""
+"""Handles farther outside the anatomy than this many diagonals of its box are taken for a mistake in units or frame."""
 
 SMALL_DIAGONALS = 1.0 / 300.0
 """Three or more handles that span less than this many diagonals are taken for metres read as millimetres."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class FurtherPoints:
+class AttachedPoints:
     """Points of a file that the deformation takes along.
 
     Parameters
@@ -52,7 +52,7 @@ class FurtherPoints:
     rewrite: Callable[[Points, FilePath], None]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Job:
     """Everything one run needs.
 
@@ -82,7 +82,7 @@ class Job:
     lattice : ControlLattice or None
         The control points that drive; the handles are where they rest, and the path leads to where their splines take
         them. None where no lattice drives.
-    further : tuple of FurtherPoints
+    further : tuple of AttachedPoints
         Files whose points go where the map takes them.
     stops : tuple of float
         Moments of the path's keyframes, which no step passes over.
@@ -104,10 +104,13 @@ class Job:
     joints: JointSystem | None = None
     overrides: tuple[str, ...] = ()
     lattice: ControlLattice | None = None
-    further: tuple[FurtherPoints, ...] = ()
+    further: tuple[AttachedPoints, ...] = ()
     stops: tuple[float, ...] = ()
     transforms: BoneTransforms | None = None
     pose: tuple[tuple[str, float], ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Job({self.rig.title!r}: {self.anatomy!r}, {len(self.handles)} handles)"
 
 
 def path_by_pairs(

@@ -14,7 +14,7 @@ _NO_LIMITS = (-np.inf, np.inf)
 _PARALLEL = 1e-6
 """Axes of one joint must span a volume (an area) larger than this, all of length 1."""
 _LONGEST_AXIS = 1e9
-"""Longer axes, and shorter ones than its inverse, are slips rather than directions; units do not matter here."""
+"""Longer axes, and shorter ones than its inverse, are mistakes rather than directions; units do not matter here."""
 
 
 def read_joint(name: str, section: Section, *, unit: Unit) -> Joint:

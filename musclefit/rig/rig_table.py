@@ -134,8 +134,8 @@ def apply_overrides(table: Mapping[str, Any], overrides: Sequence[str], *, sourc
     table : mapping
         Left as it is.
     overrides : sequence of str
-        Each ``key=value``: a dotted key and a TOML value; a value that is no TOML, such as ``r3``, is text. Another
-        ``deformer.backend`` leaves out the keys of the file that only the file's own backend has a use for.
+        Each ``key=value``: a dotted key and a TOML value; a value that is not valid TOML, such as ``r3``, is text.
+        Another ``deformer.backend`` leaves out the keys of the file that only the file's own backend has a use for.
     source : str
         The file, for messages.
 
@@ -353,7 +353,7 @@ def _override_value(text: str, *, where: str) -> Any:
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with more digits than Python converts
         if not text or text[0] in "\"'[{":
             raise RigError(
-                f"{where}: the value is no TOML: {error}; write a number, true or false, a word, or text in quotes"
+                f"{where}: the value is not valid TOML: {error}; write a number, true or false, a word, or quoted text"
             ) from None
         return text
     if set(read) != {"value"}:

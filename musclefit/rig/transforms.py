@@ -38,7 +38,7 @@ FARTHEST_MM = 1e7
 """Longest translation; with longer ones rounding alone would move bones by 1e-9 mm."""
 
 FAR_DIAGONALS = 20.0
-"""A bone that is sent farther than this many diagonals of the anatomy's box is taken for a slip of units."""
+"""A bone that is sent farther than this many diagonals of the anatomy's box is taken for a mistake in units."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

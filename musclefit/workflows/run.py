@@ -27,7 +27,7 @@ from musclefit.pipeline.intermediate_states import states
 from musclefit.pipeline.retarget import Outcome, Retargeting, retarget
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
-from musclefit.rig.job import FurtherPoints, Job
+from musclefit.rig.job import AttachedPoints, Job
 from musclefit.rig.settings import TetSettings
 from musclefit.validate.model import Check
 from musclefit.workflows.given import RigGiven, rig_given
@@ -291,8 +291,8 @@ def _drawn(result: Retargeting, progress: Progress) -> Stills:
         )
 
 
-def _moved_points(file: FurtherPoints, result: Retargeting, path: Path) -> None:
-    """Write a file of further points where the result's map takes them."""
+def _moved_points(file: AttachedPoints, result: Retargeting, path: Path) -> None:
+    """Write a file of attached points where the result's map takes them."""
     file.rewrite(result.result.deformation(file.points), path)
 
 

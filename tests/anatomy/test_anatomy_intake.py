@@ -62,7 +62,7 @@ def test_an_open_surface_is_refused_with_its_hole_and_a_way_out():
     message = str(caught.value)
     assert message.startswith("folder/ball.ply: tissue 'ball' is not closed: ")
     around = int((faces == top).any(axis=1).sum())
-    assert f"{around} open edges around 1 hole, the largest with {around} edges near (" in message
+    assert f"{around} boundary edges around 1 hole, the largest with {around} edges near (" in message
     place = [float(v) for v in re.search(r"near \((.*?)\) mm", message)[1].split(",")]
     assert np.linalg.norm(np.array(place) - vertices[top]) < 2.0
     assert "fill holes" in message
@@ -71,7 +71,7 @@ def test_an_open_surface_is_refused_with_its_hole_and_a_way_out():
 def test_two_holes_are_counted():
     vertices, faces = _ball()
     far = next(i for i in range(1, len(faces)) if not set(faces[i]) & set(faces[0]))
-    with pytest.raises(MeshError, match="6 open edges around 2 holes, the largest with 3 edges"):
+    with pytest.raises(MeshError, match="6 boundary edges around 2 holes, the largest with 3 edges"):
         _take_in((vertices, np.delete(faces, [0, far], axis=0)))
 
 

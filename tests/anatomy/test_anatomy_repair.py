@@ -71,7 +71,7 @@ PLANTED = {
     "removed-crossings": lambda: _pushed_in(ball(2)),
     "flat-faces": lambda: _sliver(CUBE),
     "parted-vertices": lambda: voxels([(0, 0, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1)]),
-    "cut-pinches": lambda: voxels([(0, 0, 0), (1, 1, 1)]),
+    "cut-non-manifold-vertices": lambda: voxels([(0, 0, 0), (1, 1, 1)]),
     "united-pieces": lambda: joined(ball(), ball(at=(12.0, 1.0, 0.5))),
     "stray-pieces": lambda: joined(ball(), ball(1, radius=0.05, at=(30.0, 0.0, 0.0))),
     "turned-pieces": lambda: TriMesh(ball().vertices, ball().faces[:, ::-1]),

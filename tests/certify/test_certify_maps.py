@@ -288,7 +288,7 @@ class _Unbounded:
 
 def test_what_cannot_be_certified_is_named() -> None:
     whole = sphere(10.0)
-    with pytest.raises(MeshError, match="3 open edges, the first between vertices"):
+    with pytest.raises(MeshError, match="3 boundary edges, the first between vertices"):
         certify_map([(E, affine(np.zeros((3, 3))))], TriMesh(whole.vertices, whole.faces[1:]))
     with pytest.raises(MeshError, match="no triangles"):
         certify_map([(E, affine(np.zeros((3, 3))))], TriMesh(whole.vertices, whole.faces[:0]))

@@ -272,7 +272,7 @@ def _rewritten(at: Place, vertices: np.ndarray, faces: np.ndarray) -> Sequence[s
     return at.run()
 
 
-@case("{bone}", "'bone_distal' is not closed", "4 open edges around 1 hole", "mesh editor")
+@case("{bone}", "'bone_distal' is not closed", "4 boundary edges around 1 hole", "mesh editor")
 def open_mesh(at: Place) -> Sequence[str]:
     surface = TISSUES["bone_distal"]
     first, *others = (set(face) for face in surface.faces.tolist())
@@ -709,7 +709,7 @@ def set_to_an_unknown_value(at: Place) -> Sequence[str]:
     return at.run("--set", "deformer.kernel=r5")
 
 
-@case('--set title="open', "no TOML", "quotes")
+@case('--set title="open', "not valid TOML", "quotes")
 def set_to_broken_toml(at: Place) -> Sequence[str]:
     return at.run("--set", 'title="open')
 

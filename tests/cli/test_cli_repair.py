@@ -41,7 +41,7 @@ def test_a_folder_is_repaired_with_a_report_of_every_change(tmp_path, capsys):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["verdict"] == "passed"
     first, second = report["surfaces"]
-    assert (first["name"], first["way"], first["faults_before"]) == ("bone_a", "local", {"open_edges": 3})
+    assert (first["name"], first["way"], first["faults_before"]) == ("bone_a", "local", {"boundary_edges": 3})
     assert [change["code"] for change in first["changes"]] == ["filled-holes"]
     assert first["distance"]["from_original_mm"] <= 1e-9
     assert (second["way"], second["changes"], second["faults_before"]) == ("untouched", [], {})
@@ -264,7 +264,7 @@ def test_a_tangled_bone_is_resurfaced_within_the_limit(tmp_path, anatomy_data):
 @pytest.mark.parametrize("name", ["r_femur", "l_pelvis", "l_tibia", "metacarpal4_lvs", "metacarpal5_rvs"])
 def test_bones_that_are_no_manifolds_become_solids(tmp_path, anatomy_data, name):
     bone = anatomy_data / "opensim" / "rajagopal2016" / "Geometry" / f"{name}.vtp"
-    assert faults_of(read_surface(bone).mesh()).crowded_edges > 0
+    assert faults_of(read_surface(bone).mesh()).non_manifold_edges > 0
     options = ["--units", "m", "--quiet", "--local-only", "--max-change-percent", "6"]  # the tibia's doubled faces
     assert main(["repair", str(bone), str(tmp_path / "b.ply"), *options]) == 0
     assert faults_of(read_surface(tmp_path / "b.ply").mesh()).none

@@ -14,9 +14,9 @@ from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.hausdorff import distances_from_triangles, reach
 from musclefit.geometry.surfaces.booleans import difference, grown_by, united, vertex_normals
 from musclefit.geometry.surfaces.crossings import crossings_between, self_crossings
-from musclefit.geometry.surfaces.faults import Faults, faults_of, pinched_vertices
+from musclefit.geometry.surfaces.faults import Faults, faults_of, non_manifold_vertices
 from musclefit.geometry.surfaces.holes import filled_holes, rims
-from musclefit.geometry.surfaces.patches import cancelled, cut_at_pinches, facing_outwards, superfluous
+from musclefit.geometry.surfaces.patches import cancelled, cut_at_non_manifold_vertices, facing_outwards, superfluous
 from musclefit.geometry.surfaces.topology import consistent_orientation, edges_of
 from musclefit.geometry.surfaces.uncrossing import parted, uncrossed, with_holes_filled, without_flat_faces
 
@@ -29,8 +29,8 @@ def test_a_clean_surface_has_no_fault():
 PLANTED = {
     "collapsed": lambda m: np.vstack([m.faces, [m.faces[0, [0, 1, 1]]]]),
     "doubled": lambda m: np.vstack([m.faces, m.faces[:1, [1, 2, 0]]]),
-    "open_edges": lambda m: m.faces[1:],
-    "disagreeing_edges": lambda m: np.vstack([m.faces[1:], m.faces[:1, ::-1]]),
+    "boundary_edges": lambda m: m.faces[1:],
+    "inconsistently_oriented_edges": lambda m: np.vstack([m.faces[1:], m.faces[:1, ::-1]]),
     "misplaced": lambda m: m.faces[:, ::-1],
 }
 
@@ -49,12 +49,12 @@ def test_two_tetrahedra_that_share_a_vertex_or_an_edge_are_pinched_there():
     tet = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     mirrored = np.array([0, 4, 5, 6])[tet][:, ::-1]
     by_vertex = TriMesh(corners, np.vstack([tet, mirrored]))
-    np.testing.assert_array_equal(pinched_vertices(by_vertex.faces), [0])
+    np.testing.assert_array_equal(non_manifold_vertices(by_vertex.faces), [0])
     other = np.array([0, 1, 8, 7])[tet]
     by_edge = TriMesh(corners, np.vstack([tet, other]))
-    assert faults_of(by_edge).crowded_edges == 1
+    assert faults_of(by_edge).non_manifold_edges == 1
     for mesh in (by_vertex, by_edge):
-        cut = cut_at_pinches(mesh)
+        cut = cut_at_non_manifold_vertices(mesh)
         assert cut.added == (1 if mesh is by_vertex else 2)
         found = faults_of(cut.mesh)
         assert found == Faults(0, 0, 0, 0, 0, 0, 0, cut.added, 0, 0)
@@ -102,7 +102,7 @@ def test_a_wall_between_two_rooms_is_found():
     at = {tuple(v): k for k, v in enumerate(mesh.vertices)}
     wall = np.array([[at[tuple(v + np.array([1.0, 0.0, 0.0]))] for v in mesh.vertices[f]] for f in mesh.faces[across]])
     walled = TriMesh(mesh.vertices, np.vstack([mesh.faces, wall]))
-    assert faults_of(walled).crowded_edges == 4
+    assert faults_of(walled).non_manifold_edges == 4
     np.testing.assert_array_equal(np.flatnonzero(superfluous(walled)), len(mesh.faces) + np.arange(2))
 
 
@@ -123,7 +123,7 @@ def test_a_body_that_meets_itself_in_an_edge_is_turned_outwards_and_cut_there():
     assert faults_of(mesh) == Faults(0, 0, 0, 1, 0, 2, 0, 0, 0, 0)
     turned = TriMesh(mesh.vertices, facing_outwards(TriMesh(mesh.vertices, mesh.faces[:, ::-1])))
     assert enclosed_volume(turned) == pytest.approx(5.0, rel=1e-14)
-    cut = cut_at_pinches(turned)
+    cut = cut_at_non_manifold_vertices(turned)
     assert cut.added == 1  # the edge's lower end; round its upper end both sides are one fan
     assert faults_of(cut.mesh) == Faults(0, 0, 0, 0, 0, 0, 0, 1, 0, 0)
     assert enclosed_volume(cut.mesh) == pytest.approx(5.0, rel=1e-14)
@@ -217,5 +217,5 @@ def test_a_union_of_balls_is_what_the_lens_says():
 
 def test_a_moebius_band_has_one_rim():
     vertices, faces = moebius()
-    assert faults_of(TriMesh(vertices, faces)).open_edges == 24
+    assert faults_of(TriMesh(vertices, faces)).boundary_edges == 24
     assert consistent_orientation(faces).one_sided.all()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tet_blocks import block
+from tet_surfaces import surface_of_tets
 
 from musclefit.geometry.measures import enclosed_volume, signed_volumes
 from musclefit.geometry.queries.solids import overlap_volume, solid_of
 from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.geometry.surfaces.topology import edges_of, face_components
-from musclefit.geometry.tet_surfaces import surface_of_tets
 
 CELLS = (4, 4, 4)
 

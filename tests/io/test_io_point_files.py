@@ -1,4 +1,4 @@
-"""Further points: every format comes back moved, with the rest of the file kept; slips are named."""
+"""Attached points: every format comes back moved, with the rest of the file kept; slips are named."""
 
 from __future__ import annotations
 

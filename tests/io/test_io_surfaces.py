@@ -424,7 +424,7 @@ def test_an_open_surface_stops_the_reading_and_names_the_file(write):
     data = trimesh.Trimesh(VERTICES, FACES[:-1], process=False).export(file_type="ply")
     path = write("muscle_open.ply", data)
     with pytest.raises(
-        MeshError, match=r"muscle_open\.ply: tissue 'muscle_open' is not closed: 3 open edges around 1 hole"
+        MeshError, match=r"muscle_open\.ply: tissue 'muscle_open' is not closed: 3 boundary edges around 1 hole"
     ):
         read_anatomy([path])
 

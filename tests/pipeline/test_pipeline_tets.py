@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tet_surfaces import surface_of_tets
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
@@ -14,7 +15,6 @@ from musclefit.certify.meshes import certify_mesh
 from musclefit.flow.tet_refinement import HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.queries.solids import overlap_volume, solid_of
-from musclefit.geometry.tet_surfaces import surface_of_tets
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform

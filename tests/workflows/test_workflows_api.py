@@ -150,3 +150,11 @@ def test_a_given_progress_is_told_and_bars_are_not_shown() -> None:
     assert noting.told == ["march", 0.25]
     with TimedStages(shown=False) as own, watched(own) as same:
         assert same is own
+
+
+def test_records_with_arrays_show_their_sizes_not_their_numbers(rig: Path) -> None:
+    job = mf.read_rig(rig)
+    made = mf.retarget(job, tets=None)
+    for record in (job, job.anatomy, job.anatomy.tissues[0].surface, made, made.result, made.result.deformation):
+        assert len(repr(record)) < 200
+        assert "array" not in repr(record)

@@ -19,8 +19,7 @@ ELBOW_AXIS: Points = frozen([1.0, 0.0, 0.0])
 """Positive turns flex: they bring the hand forward (anterior) and up."""
 
 MAX_FLEXION_DEG = 140.0
-MAX_PRONATION_DEG = 80.0
-"""From rest (extended, supinated) up to these, together and apart, no bone meets another."""
+"""From rest (extended, supinated) up to this no bone meets another."""
 
 ELBOW_LIMITS_DEG = (-5.0, 150.0)
 FOREARM_LIMITS_DEG = (-90.0, 90.0)

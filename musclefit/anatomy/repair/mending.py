@@ -14,7 +14,7 @@ from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.booleans import vertex_normals
 from musclefit.geometry.surfaces.holes import Hole, filled_holes
-from musclefit.geometry.surfaces.patches import cancelled, cut_at_pinches, facing_outwards, superfluous
+from musclefit.geometry.surfaces.patches import cancelled, cut_at_non_manifold_vertices, facing_outwards, superfluous
 from musclefit.geometry.surfaces.topology import (
     consistent_orientation,
     edges_of,
@@ -93,7 +93,7 @@ def _merged(mesh: TriMesh, log: Log, weld_mm: float) -> TriMesh:
         log.add(
             "merged-vertices",
             merged.removed,
-            f"merged {merged.removed} vertices that stood exactly on another; open edges from {before} to {after}",
+            f"merged {merged.removed} vertices that stood exactly on another; boundary edges from {before} to {after}",
         )
         mesh, before = candidate, after
     edges = edges_of(mesh.faces[~repeats_a_vertex(mesh.faces)])
@@ -111,8 +111,8 @@ def _merged(mesh: TriMesh, log: Log, weld_mm: float) -> TriMesh:
     log.add(
         "welded-vertices",
         count,
-        f"sewed {count} vertices of open edges onto others at most {weld_mm:g} mm away; open edges from {before} to "
-        f"{_odd(welded)}",
+        f"sewed {count} vertices of boundary edges onto others at most {weld_mm:g} mm away; boundary edges from "
+        f"{before} to {_odd(welded)}",
     )
     return compacted(welded)
 
@@ -175,7 +175,7 @@ def _sheets(mesh: TriMesh, log: Log, *, settings: RepairSettings, source: str) -
 
 def thickened(sheet: TriMesh, *, thickness_mm: float) -> TriMesh:
     """A closed surface around an oriented open sheet, half the thickness to either side of it."""
-    sheet = cut_at_pinches(sheet).mesh
+    sheet = cut_at_non_manifold_vertices(sheet).mesh
     shift = 0.5 * thickness_mm * vertex_normals(sheet)
     n = len(sheet.vertices)
     starts, ends = sheet.faces.ravel(), sheet.faces[:, [1, 2, 0]].ravel()

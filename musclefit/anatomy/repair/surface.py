@@ -1,8 +1,8 @@
 """One dirty surface -> one that bounds a solid, with all that was done to it; knows no files and no other tissue.
 
-Two ways, the gentler first. *Local*: merge, drop, turn, fill, cut at pinches, unite pieces that cross, take out what
-crosses and close it again; every vertex elsewhere stays. *Resurfaced*: the border of the tets that the surface winds
-around, from a tetrahedralisation that follows it within an envelope; every triangle is new.
+Two ways, the gentler first. *Local*: merge, drop, turn, fill, cut at non-manifold vertices, unite pieces that cross,
+take out what crosses and close it again; every vertex elsewhere stays. *Resurfaced*: the border of the tets that
+the surface winds around, from a tetrahedralisation that follows it within an envelope; every triangle is new.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from musclefit.geometry.queries.solids import pieces
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.geometry.surfaces.booleans import united
 from musclefit.geometry.surfaces.crossings import self_crossings
-from musclefit.geometry.surfaces.faults import Faults, faults_of, pinched_vertices
-from musclefit.geometry.surfaces.patches import cut_at_pinches
+from musclefit.geometry.surfaces.faults import Faults, faults_of, non_manifold_vertices
+from musclefit.geometry.surfaces.patches import cut_at_non_manifold_vertices
 from musclefit.geometry.surfaces.resurfacing import Fill, border_of_inside
 from musclefit.geometry.surfaces.topology import (
     closed_components,
@@ -172,15 +172,19 @@ def _resurfaced(given: Repaired, soup: TriMesh, log: Log, *, settings: RepairSet
 
 
 def _apart(mesh: TriMesh, log: Log) -> TriMesh:
-    """Flat faces out, cut at pinches, touching vertices moved apart."""
+    """Flat faces out, cut at non-manifold vertices, touching vertices moved apart."""
     flat = int(has_no_area(mesh).sum())
     if flat:
         log.add("flat-faces", flat, f"flipped or closed {flat} faces without area")
         mesh = without_flat_faces(mesh)
-    pinched = len(pinched_vertices(mesh.faces))
+    pinched = len(non_manifold_vertices(mesh.faces))
     if pinched:
-        log.add("cut-pinches", pinched, f"cut the surface at {pinched} vertices where it was pinched")
-        mesh = cut_at_pinches(mesh).mesh
+        log.add(
+            "cut-non-manifold-vertices",
+            pinched,
+            f"cut the surface at {pinched} vertices where its faces form more than one fan",
+        )
+        mesh = cut_at_non_manifold_vertices(mesh).mesh
     touching = touching_vertices(mesh)
     if touching:
         said = f"moved {touching} vertices off others at the same place, by up to {PART_MM} mm"

@@ -46,7 +46,7 @@ def cage_of(surface: TriMesh, *, vertices: int) -> TriMesh:
     surface : TriMesh
         Closed, every edge at two faces, outward, and not crossing itself.
     vertices : int
-        How many the cage shall have, from ``FEWEST_VERTICES`` to those of the surface.
+        How many the cage has, from ``FEWEST_VERTICES`` to those of the surface.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def _require_sound(mesh: TriMesh, *, what: str) -> None:
     edges = edges_of(mesh.faces[~repeats_a_vertex(mesh.faces)])
     if len(edges.odd) or len(edges.non_manifold) or len(edges.unbalanced):
         raise MeshError(
-            f"{what} is no closed surface with two faces at each edge: {len(edges.boundary)} open edges, "
+            f"{what} is no closed surface with two faces at each edge: {len(edges.boundary)} boundary edges, "
             f"{len(edges.non_manifold)} with more than two faces; repair it in a mesh editor"
         )
     if enclosed_volume(mesh) <= 0.0:

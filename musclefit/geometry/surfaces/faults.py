@@ -31,13 +31,13 @@ class Faults:
         Faces that use one vertex twice.
     doubled : int
         Faces whose three vertices an earlier face has already, either way round.
-    open_edges : int
+    boundary_edges : int
         Edges of one face.
-    crowded_edges : int
+    non_manifold_edges : int
         Edges of more than two faces.
-    disagreeing_edges : int
+    inconsistently_oriented_edges : int
         Edges run through more often one way than the other, open ones left out.
-    pinched : int
+    non_manifold_vertices : int
         Vertices whose faces form more than one fan.
     flat : int
         Faces without area, exactly.
@@ -51,10 +51,10 @@ class Faults:
 
     collapsed: int
     doubled: int
-    open_edges: int
-    crowded_edges: int
-    disagreeing_edges: int
-    pinched: int
+    boundary_edges: int
+    non_manifold_edges: int
+    inconsistently_oriented_edges: int
+    non_manifold_vertices: int
     flat: int
     touching: int
     crossings: int
@@ -83,10 +83,10 @@ def faults_of(mesh: TriMesh) -> Faults:
     return Faults(
         collapsed=len(mesh.faces) - len(faces),
         doubled=int(repeats_a_face(sorted_faces).sum()),
-        open_edges=len(edges.boundary),
-        crowded_edges=len(edges.non_manifold),
-        disagreeing_edges=int(((edges.excess != 0) & (edges.faces_at > 1)).sum()),
-        pinched=len(pinched_vertices(faces)),
+        boundary_edges=len(edges.boundary),
+        non_manifold_edges=len(edges.non_manifold),
+        inconsistently_oriented_edges=int(((edges.excess != 0) & (edges.faces_at > 1)).sum()),
+        non_manifold_vertices=len(non_manifold_vertices(faces)),
         flat=int(has_no_area(TriMesh(mesh.vertices, faces)).sum()) if len(faces) else 0,
         touching=merged.removed,
         crossings=len(self_crossings(TriMesh(mesh.vertices, faces))) if len(faces) else 0,
@@ -94,7 +94,7 @@ def faults_of(mesh: TriMesh) -> Faults:
     )
 
 
-def pinched_vertices(faces: Faces) -> Int:
+def non_manifold_vertices(faces: Faces) -> Int:
     """Numbers of the vertices whose faces form more than one fan, a fan being held together by edges of two faces."""
     corner_of = fans(faces)
     if not len(faces):

@@ -67,7 +67,7 @@ def filled_holes(vertices: Points, faces: Faces) -> tuple[Hole, ...]:
 
 
 def rims(vertices: Points, faces: Faces) -> list[Int]:
-    """Closed walks along the open edges, run through as a patch does; no vertex comes twice in one.
+    """Closed walks along the boundary edges, run through as a patch does; no vertex comes twice in one.
 
     Where several rims meet in a vertex, each goes on along the other fan of faces that is nearest in direction.
     """

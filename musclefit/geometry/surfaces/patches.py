@@ -82,10 +82,10 @@ def superfluous(mesh: TriMesh) -> Bool:
 
 
 def facing_outwards(mesh: TriMesh) -> Faces:
-    """The faces of a closed surface with crowded edges, each patch turned so that the inside is behind it.
+    """The faces of a closed surface with non-manifold edges, each patch turned so that the inside is behind it.
 
     What a component's own faces enclose an odd number of times is its inside, found by rays from its patches.
-    Components without crowded edges stay as they are.
+    Components without non-manifold edges stay as they are.
     """
     faces = mesh.faces.copy()
     component = closed_components(faces)
@@ -132,7 +132,7 @@ def _crossed_by_ray(origin: Points, direction: Points, corners: Points) -> int:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cut:
-    """A surface cut open where it was pinched or crowded.
+    """A surface cut open where it was non-manifold at vertices or edges.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Cut:
     added: int
 
 
-def cut_at_pinches(mesh: TriMesh) -> Cut:
+def cut_at_non_manifold_vertices(mesh: TriMesh) -> Cut:
     """Give each fan of faces its own vertex, so that bodies that meet in an edge or a vertex only touch.
 
     At an edge of four or more faces, faces that have the inside between them stay together.

@@ -30,7 +30,7 @@ def border_of_inside(soup: TriMesh, *, fill: Fill) -> TriMesh:
     Returns
     -------
     TriMesh
-        Closed; where tets meet in an edge or a vertex alone, the surface is crowded or pinched there.
+        Closed; where tets meet in an edge or a vertex alone, the surface is not manifold there.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.booleans import vertex_normals
 from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.geometry.surfaces.faults import faults_of
-from musclefit.geometry.surfaces.patches import cut_at_pinches
+from musclefit.geometry.surfaces.patches import cut_at_non_manifold_vertices
 from musclefit.geometry.surfaces.uncrossing import (
     compacted,
     grown,
@@ -86,7 +86,7 @@ def with_self_clearance(mesh: TriMesh, *, width_mm: float, most_mm: float) -> Cl
         if not close.any():
             break
         gone = grown(done.mesh.faces, close, rings=attempt // 2)
-        left = cut_at_pinches(compacted(TriMesh(done.mesh.vertices, done.mesh.faces[~gone]))).mesh
+        left = cut_at_non_manifold_vertices(compacted(TriMesh(done.mesh.vertices, done.mesh.faces[~gone]))).mesh
         closed = uncrossed(parted(without_flat_faces(with_holes_filled(left))))
         if closed.left or not len(closed.mesh.faces):
             continue

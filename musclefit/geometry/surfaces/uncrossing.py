@@ -11,9 +11,9 @@ from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.crossings import self_crossings
-from musclefit.geometry.surfaces.faults import coincident_groups, pinched_vertices
+from musclefit.geometry.surfaces.faults import coincident_groups, non_manifold_vertices
 from musclefit.geometry.surfaces.holes import filled_holes
-from musclefit.geometry.surfaces.patches import cut_at_pinches
+from musclefit.geometry.surfaces.patches import cut_at_non_manifold_vertices
 from musclefit.geometry.surfaces.topology import edges_of, face_components, has_no_area, repeats_a_vertex
 
 PART_MM = 0.01
@@ -76,7 +76,7 @@ def uncrossed(mesh: TriMesh) -> Uncrossed:
         bad |= _islands(mesh, bad)
         if bad.all():
             break
-        opened = cut_at_pinches(compacted(TriMesh(mesh.vertices, mesh.faces[~bad]))).mesh
+        opened = cut_at_non_manifold_vertices(compacted(TriMesh(mesh.vertices, mesh.faces[~bad]))).mesh
         closed = with_holes_filled(opened)
         removed += int(bad.sum())
         filled += len(closed.faces) - len(opened.faces)
@@ -201,11 +201,11 @@ def _without_folded(faces: Faces) -> Faces:
 
 
 def parted(mesh: TriMesh) -> TriMesh:
-    """The surface cut where it is pinched, and each vertex at the position of another moved towards its neighbours.
+    """The surface cut where it is not manifold, and each vertex on another one moved towards its neighbours.
 
     By at most ``PART_MM`` and a tenth of the way to the middle of its neighbours.
     """
-    mesh = cut_at_pinches(mesh).mesh if len(pinched_vertices(mesh.faces)) or _crowded(mesh) else mesh
+    mesh = cut_at_non_manifold_vertices(mesh).mesh if len(non_manifold_vertices(mesh.faces)) or _crowded(mesh) else mesh
     used = np.unique(mesh.faces)
     group = coincident_groups(mesh.vertices[used])
     several = used[np.bincount(group)[group] > 1]

@@ -37,11 +37,6 @@ class SizingField:
     tets: Tets
     lengths: Float
 
-    @property
-    def finest_mm(self) -> float:
-        """The shortest length asked for; infinite where nothing is."""
-        return float(self.lengths.min(initial=np.inf))
-
 
 NO_SIZING = SizingField(frozen(np.zeros((0, 3))), frozen(np.zeros((0, 4)), np.int64), frozen(np.zeros(0)))
 """One edge length everywhere."""

@@ -1,4 +1,4 @@
-"""Further points that a map takes along: a file of landmarks, markers or a mesh -> points, and the file written moved.
+"""Attached points that a map takes along: a file of landmarks, markers or a mesh -> points, and the file written moved.
 
 Everything of the file that is no position is kept: columns, labels, comments, data at points and cells. PLY and STL
 alone are written anew, as plain triangle surfaces.
@@ -28,7 +28,7 @@ from musclefit.io.formats.landmarks import read_landmarks
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
 from musclefit.io.formats.trc import read_trajectories
 from musclefit.io.run_folder import ply_bytes
-from musclefit.rig.job import FurtherPoints
+from musclefit.rig.job import AttachedPoints
 from musclefit.vocabulary import Unit
 
 Rewrite = Callable[[Points, Path], None]
@@ -38,7 +38,7 @@ INSIDE = 0.5
 """Winding number of the skin from which a point is inside."""
 
 
-def read_points(path: Path, *, units: Unit) -> FurtherPoints:
+def read_points(path: Path, *, units: Unit) -> AttachedPoints:
     """Read the points of one file, in the order in which they stand in it.
 
     Parameters
@@ -60,10 +60,10 @@ def read_points(path: Path, *, units: Unit) -> FurtherPoints:
     points, rewrite = _READERS[ending](path, units)
     if not len(points):
         raise InputError(f"{path}: has no point; correct the path, or leave it out")
-    return FurtherPoints(path.name, frozen(points), rewrite)
+    return AttachedPoints(path.name, frozen(points), rewrite)
 
 
-def outside_findings(further: Sequence[FurtherPoints], anatomy: Anatomy) -> tuple[Finding, ...]:
+def outside_findings(further: Sequence[AttachedPoints], anatomy: Anatomy) -> tuple[Finding, ...]:
     """A finding for each file with points outside the skin: they are moved too, but no certificate holds there."""
     if anatomy.skin is None:
         return ()

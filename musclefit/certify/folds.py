@@ -173,8 +173,10 @@ def _determinant_ceiling(kind: StepKind, field: Field, cover: Cover) -> float:
 
 
 def _determinant_range(matrix: Float, radius: float) -> tuple[float, float]:
-    """Proved range of the determinant of matrix + E over |E| <= radius: off by at most
-    n |E| (|matrix| + |E|)^(n-1)."""
+    """Proved range of the determinant of matrix + E over |E| <= radius.
+
+    It is off by at most n |E| (|matrix| + |E|)^(n-1).
+    """
     n = len(matrix)
     size = float(np.linalg.norm(matrix, "fro")) * (1.0 + 1e-12) + radius
     off = (n * radius * size ** (n - 1) + 1e-13 * size**n) * (1.0 + 1e-12)

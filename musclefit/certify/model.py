@@ -72,7 +72,7 @@ class StepCertificate:
 
 @dataclass(frozen=True, slots=True)
 class MapCertificate:
-    """Is a composition of steps one-to-one and orientation keeping on everything inside the skin?
+    """Whether a composition of steps is one-to-one and orientation keeping on everything inside the skin.
 
     Parameters
     ----------

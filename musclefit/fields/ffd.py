@@ -90,7 +90,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SplineLevel:
-    """One lattice with its coefficients, (\\*shape, n), mm."""
+    """One lattice with its coefficients, an array of the lattice's shape and n more, mm."""
 
     lattice: Lattice
     coefficients: Float

@@ -496,8 +496,11 @@ def _whole(held: Sequence[_Held], count: int) -> Bool:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Bare:
-    """What is proved of the base field over boxes: its gradient (B, 3, 3) at the centres and how far it gets from that;
-    its value (B, 3) at the centres and what rounding that may be off by. Nothing where one bone is whole."""
+    """What is proved of the base field over boxes; nothing where one bone is whole.
+
+    Its gradient (B, 3, 3) at the centres and how far it gets from that; its value (B, 3) at the centres and what
+    rounding that may be off by.
+    """
 
     steep: Gradients
     spread: Float

@@ -144,7 +144,7 @@ class Deformation:
         return Deformation(tuple(step.inverse() for step in reversed(self.steps)), (), self.status)
 
     def require(self) -> Self:
-        """This deformation if it converged.
+        """Itself, if it converged.
 
         Raises
         ------

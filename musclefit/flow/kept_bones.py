@@ -1,5 +1,7 @@
-"""Bones that keep their shape under a map of the whole body: each gets the motion that fits the map best, and a local
-part brings the field into line with it, so that what is attached to a bone stays on it.
+"""Bones that keep their shape under a map of the whole body.
+
+Each gets the motion that fits the map best, and a local part brings the field into line with it, so that what is
+attached to a bone stays on it.
 
 Without locks that part is corrections after the map's steps. With locks the body is marched anew, each step of a field
 in three parts: the handles', one on lattices that takes what the first leaves of the bones' motions, and locks, which

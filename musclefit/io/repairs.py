@@ -67,7 +67,7 @@ def read_raw(
 def tetrahedra(
     vertices: Points, faces: Faces, edge_length_fraction: float, envelope_fraction: float, /
 ) -> tuple[Points, Tets]:
-    """fTetWild in a process of its own; see `io.ftetwild.fill`."""
+    """Tetrahedra by fTetWild in a process of its own; see `musclefit.meshing.ftetwild.fill`."""
     return fill(vertices, faces, edge_length_fraction=edge_length_fraction, envelope_fraction=envelope_fraction)
 
 

@@ -1,5 +1,7 @@
-"""What a rig leaves open of rigid bones and of surfaces, chosen from the sizes of the bones that meet and from the gaps
-between tissues; and why, for the report."""
+"""What a rig leaves open of rigid bones and of surfaces, and why, for the report.
+
+It is chosen from the sizes of the bones that meet and from the gaps between tissues.
+"""
 
 from __future__ import annotations
 

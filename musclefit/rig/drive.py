@@ -75,8 +75,10 @@ class JobParts:
 
 
 class Driver(ABC):
-    """What a drive becomes once its files are read; it meets the anatomy in this order: ``on_anatomy``,
-    ``bone_findings``, ``handles_on_path``."""
+    """What a drive becomes once its files are read.
+
+    It meets the anatomy in this order: ``on_anatomy``, ``bone_findings``, ``handles_on_path``.
+    """
 
     findings: tuple[Finding, ...]
     frame: str

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
@@ -278,22 +278,20 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
         lengths = section.section(key)
         return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
-    if hint == tuple[Compared, ...]:
-        return section.choices(key, Compared)
-    if hint == tuple[str, ...]:
-        return _listed(section, key)
-    if hint == tuple[int, ...]:
-        return section.wholes(key)
-    if hint in (tuple[float, ...], tuple[float, ...] | None):
-        return section.numbers(key)
-    if hint == float | None:
-        return section.number(key)
-    if hint == int | None:
-        return section.whole(key)
-    if issubclass(hint, StrEnum):
-        return section.choice(key, hint)
-    readers = {str: section.text, bool: section.flag, int: section.whole, float: section.number}
-    return readers[hint](key)
+    readers: dict[Any, Callable[[str], Any]] = {
+        str: section.text,
+        bool: section.flag,
+        int: section.whole,
+        int | None: section.whole,
+        float: section.number,
+        float | None: section.number,
+        tuple[str, ...]: lambda name: _listed(section, name),
+        tuple[int, ...]: section.wholes,
+        tuple[float, ...]: section.numbers,
+        tuple[float, ...] | None: section.numbers,
+        tuple[Compared, ...]: lambda name: section.choices(name, Compared),
+    }
+    return readers[hint](key) if hint in readers else section.choice(key, hint)
 
 
 def _listed(section: Section, key: str) -> tuple[str, ...]:

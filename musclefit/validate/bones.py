@@ -1,5 +1,6 @@
-"""Do bones run into each other on the way to a pose? Rest anatomy and rigid motions -> what they share, and how far
-they can go.
+"""Whether bones run into each other on the way to a pose.
+
+Rest anatomy and rigid motions -> what they share, and how far they can go.
 
 A collision is judged by how deep two bones are in each other, and by how much of the smaller bone that takes, beyond
 what they share at rest; both limits go by the size of the smaller bone.

@@ -19,7 +19,7 @@ class LandmarkCheck:
 
 @dataclass(frozen=True, slots=True)
 class MapCheck:
-    """Is the map one-to-one?
+    """Whether the map is one-to-one.
 
     ``margin`` is how far the worst place stays from the limit of the rule (0 at the limit, 1 at rest), over all steps;
     ``folded_points`` counts tested points with det of the whole Jacobian <= 0; ``place_mm`` is the worst place at rest.

@@ -259,9 +259,10 @@ def _whole_is_strain(block):
 
 
 def block_sums(terms: Any, *, isochoric: bool, second_order: bool) -> Any:
-    """A kernel's sums (PARTS, LANES) over the sources: ``boxes`` (3, LANES) local centres, ``h`` half diagonals with
-    blur; see `musclefit.fields.kernels.model.Enclosure`."""
+    """A kernel's sums (PARTS, LANES) over the sources; see `musclefit.fields.kernels.model.Enclosure`.
 
+    They take ``boxes`` (3, LANES), local centres, and ``h``, half diagonals with blur.
+    """
     if isochoric:
 
         @njit(error_model="numpy")

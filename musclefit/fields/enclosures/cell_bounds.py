@@ -118,8 +118,10 @@ def _fill_cells(begin, end, low, spacing, numbers, coefficients, seen, cells):
 
 @njit(cache=True)
 def _largest_step(hull, stride):
-    """The largest squared norm of the difference of neighbours along the axis of a stride; of Bernstein coefficients
-    these span the derivative along it, in units of the degree, 3, over the cell."""
+    """The largest squared norm of the difference of neighbours along the axis of a stride.
+
+    Of Bernstein coefficients these span the derivative along it, in units of the degree, 3, over the cell.
+    """
     largest = 0.0
     for lane in range(64):
         if lane // stride % 4 == 3:

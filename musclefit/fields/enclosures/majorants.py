@@ -191,8 +191,11 @@ def _skew_3(c: Float) -> Float:
 
 
 def _skew_4(c: Float) -> Float:
-    """Half of the norm of the fourth derivative of omega: max over s = c² in [0, 1] of |3 omega_2 + 6 omega_3 r² s +
-    omega_4 r⁴ s²| / 2, with omega_4 = 11 f_5 + r² f_6: at an end or where the derivative vanishes."""
+    """Half of the norm of the fourth derivative of omega.
+
+    The max over s = c² in [0, 1] of |3 omega_2 + 6 omega_3 r² s + omega_4 r⁴ s²| / 2, with omega_4 = 11 f_5 + r² f_6:
+    at an end or where the derivative vanishes.
+    """
     second, third, fourth = 7.0 * c[:, 0] + c[:, 1], 9.0 * c[:, 1] + c[:, 2], 11.0 * c[:, 2] + c[:, 3]
     root = np.divide(-3.0 * third, fourth, out=np.zeros_like(third), where=fourth != 0.0)
     sizes = [np.abs(3.0 * second + 6.0 * third * s + fourth * s**2) for s in (0.0, 1.0, np.clip(root, 0.0, 1.0))]

@@ -204,7 +204,7 @@ class LevelSystem:
         return gram
 
     def coefficients(self, weights: Float) -> Float:
-        """(\\*shape, n) coefficients for (m, n) multipliers."""
+        """Coefficients, an array of the lattice's shape and n more, for (m, n) multipliers."""
         low, spacing = self._in_space()
         n = weights.shape[1]
         shape = tuple(len(window) for window in self.windows)

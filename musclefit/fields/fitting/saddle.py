@@ -26,7 +26,7 @@ REFINEMENTS, REFINED, SLOW = 12, 1e-14, 0.25
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SaddleFactor:
-    r"""Factorisation of
+    r"""Factorisation of the saddle system.
 
     .. math:: \begin{pmatrix} A & P \\ P^T & 0 \end{pmatrix}
               \begin{pmatrix} w \\ c \end{pmatrix} = \begin{pmatrix} d \\ 0 \end{pmatrix}

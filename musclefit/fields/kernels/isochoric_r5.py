@@ -34,8 +34,10 @@ def _formula(scale, r2):
 
 @njit(**PROOF)
 def _terms(scale, extent, table, block):
-    """Second order while the box stays away from the source, else first order; N4 <= C / r leaves at most
-    C h² q (2 + q) / 12."""
+    """Second order while the box stays away from the source, else first order.
+
+    N4 <= C / r leaves at most C h² q (2 + q) / 12.
+    """
     s3, s4, w3, w4 = table[2, 0], table[3, 0], table[6, 0], table[7, 0]
     for i in range(LANES):
         r2, h = block[R2 + i], block[H + i]

@@ -94,8 +94,11 @@ def _value(scale, r):
 
 
 def _norms(q: Float) -> Float:
-    """f_2 = 528 u⁶ (6 q + 1), f_3 = -22176 u⁵, f_4 = 110880 u⁴ / q, f_5 = -110880 u³ (1 + 3 q) / q³, u = 1 - q,
-    f_6 = 332640 u² (1 + q)² / q⁵."""
+    """From the chain, u = 1 - q.
+
+    f_2 = 528 u⁶ (6 q + 1), f_3 = -22176 u⁵, f_4 = 110880 u⁴ / q, f_5 = -110880 u³ (1 + 3 q) / q³,
+    f_6 = 332640 u² (1 + q)² / q⁵.
+    """
     u, r, w, t = (
         falling_factor(1.0 - q),
         (q[:-1], q[1:]),

@@ -94,7 +94,7 @@ def relocated(
     softness: float,
     iterations: int,
 ) -> Points:
-    """Positions after some iterations of L-BFGS on the energy of tets, springs and planes.
+    r"""Positions after some iterations of L-BFGS on the energy of tets, springs and planes.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
-"""Tetrahedra as solvers read them: FEBio, Abaqus, Gmsh, VTU; one element set per tissue, shared nodes, no boundary
-conditions.
+"""Tetrahedra as solvers read them: FEBio, Abaqus, Gmsh, VTU.
+
+One element set per tissue, shared nodes, no boundary conditions.
 
 Lengths are mm, so that consistent units are N, MPa and tonnes. Materials are placeholders, which every header says.
 """

@@ -32,8 +32,8 @@ from musclefit.caches import default_cache_folder
 if sys.platform != "win32":
     import fcntl
 
-KEPT_SOURCES = 8
-"""Of so many versions of its sources what was compiled of a function stays in the folder."""
+KEPT_SOURCES = 48
+"""Of so many versions of its sources, and of what it was given, what was compiled of a function stays in the folder."""
 
 WAIT_S = 120.0
 """So long a process waits for another that compiles the same function, before it does so itself."""
@@ -193,6 +193,7 @@ class _Place(caching._CacheLocator):  # type: ignore[misc]
         self._py_file = path  # named by Numba's warnings
         self._path = Path(path).resolve()
         self._line = function.__code__.co_firstlineno
+        self._told = fingerprint(function)
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Place | None:
@@ -207,11 +208,26 @@ class _Place(caching._CacheLocator):  # type: ignore[misc]
         return source_stamp(self._path)
 
     def get_disambiguator(self) -> str:
-        return f"{self._line}-{self.get_source_stamp()[:16]}"
+        return f"{self._line}-{self._told[:24]}"
 
 
 class _Code(caching.CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Place, *caching.CacheImpl._locator_classes)
+
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        super().__init__(py_func)
+        self._told = fingerprint(py_func)
+
+    def reduce(self, cres: Any) -> Any:
+        """With what it was made of, for an index names its file before that is written."""
+        return self._told, super().reduce(cres)
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """Refuse what was made of anything else."""
+        told, own = payload
+        if told != self._told:
+            raise ValueError("what was compiled is of another function")
+        return super().rebuild(target_context, own)
 
 
 class _Kept(caching.FunctionCache):  # type: ignore[misc]
@@ -284,7 +300,10 @@ class SharedCache(caching._Cache):  # type: ignore[misc]
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         try:
-            return self._files().load_overload(sig, target_context)
+            found = self._files().load_overload(sig, target_context)
+            if found is not None and isinstance(sig, tuple) and tuple(found.signature.args) != sig:
+                raise ValueError("what was compiled is of other arguments")
+            return found
         except Exception:  # whatever a damaged file raises when it is unpickled
             with suppress(OSError):
                 self._files().flush()

@@ -200,12 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str, or None for those of the process
     """
-    log = logging.getLogger("musclefit")
-    if not log.handlers:
-        told = logging.StreamHandler()  # on standard error: how long stages took, where no bars are shown
-        told.setFormatter(logging.Formatter("musclefit: %(message)s"))
-        log.addHandler(told)
-        log.setLevel(logging.INFO)
+    _log_to_standard_error()
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError):  # names that the terminal cannot show must not end a run
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
@@ -231,6 +226,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("musclefit: interrupted; nothing was left half-written", file=sys.stderr)
         return INTERRUPTED
     return result if isinstance(result, int) else PASSED
+
+
+class _StandardError(logging.Handler):
+    """Writes to standard error as it is when told."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with suppress(OSError, ValueError):
+            print(f"musclefit: {record.getMessage()}", file=sys.stderr)
+
+
+def _log_to_standard_error() -> None:
+    """How long stages took, where no bars are shown."""
+    log = logging.getLogger("musclefit")
+    if not any(isinstance(handler, _StandardError) for handler in log.handlers):
+        log.addHandler(_StandardError())
+        log.setLevel(logging.INFO)
 
 
 def _run(

@@ -62,13 +62,17 @@ class Made:
     carried : Carried
     sampled : Sampled
     returns : int
-        Times that the march was taken back by what its surfaces came to need.
+        Times that the march was taken back by what its surfaces, or a proof, came to need.
+    tested_too : callable
+        Takes (k, 3) places at rest, mm, that the map must be tested at as well; gives what is made of it then, or None
+        where the map stays as it is.
     """
 
     deformed: Deformed
     carried: Carried
     sampled: Sampled
     returns: int
+    tested_too: Callable[[Points], Made | None]
 
 
 def deform_finely(job: Job, *, progress: Progress) -> Made:
@@ -99,18 +103,27 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     riders: Riders = riders_of(made, tested, progress=progress)
     if bone_limits(job) and not kept:
         riders = KeptRiders.of(job, riders, tested, progress)
-    if surfaces.refine:
-        carried, riders = finely_carried(cut, riders, tolerance_mm=chosen.chord_mm, whole=whole, progress=progress)
-    else:
-        moved, jacobians = riders.moved[: len(points)], riders.jacobians[: len(points)]
-        carried = Carried(cut.anatomy, cut.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
-    deformation = riders.deformation
-    if carried.unsolved and deformation.status is Status.CONVERGED:
-        deformation = replace(deformation, status=Status.UNSOLVED)
-    kept = riders.kept if isinstance(riders, KeptRiders) else kept
-    of_between = np.linalg.det(riders.jacobians[len(points) : len(tested)])
-    sampled = _looked_at(carried, deformation, between, gap, known=of_between if len(along) else None)
-    return Made(Deformed(deformation, groups, kept), carried, sampled, riders.returns)
+
+    def refined(riders: Riders) -> Made:
+        if surfaces.refine:
+            carried, riders = finely_carried(cut, riders, tolerance_mm=chosen.chord_mm, whole=whole, progress=progress)
+        else:
+            moved, jacobians = riders.moved[: len(points)], riders.jacobians[: len(points)]
+            carried = Carried(cut.anatomy, cut.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
+        deformation = riders.deformation
+        if carried.unsolved and deformation.status is Status.CONVERGED:
+            deformation = replace(deformation, status=Status.UNSOLVED)
+        of_between = np.linalg.det(riders.jacobians[len(points) : len(tested)])
+        sampled = _looked_at(carried, deformation, between, gap, known=of_between if len(along) else None)
+        held = riders.kept if isinstance(riders, KeptRiders) else kept
+
+        def tested_too(places: Points) -> Made | None:
+            joined = riders.joined(places)
+            return None if joined is None or joined.returns == riders.returns else refined(joined)
+
+        return Made(Deformed(deformation, groups, held), carried, sampled, riders.returns, tested_too)
+
+    return refined(riders)
 
 
 def move_finely(job: Job, deformation: Deformation, *, progress: Progress) -> Made:
@@ -135,7 +148,8 @@ def move_finely(job: Job, deformation: Deformation, *, progress: Progress) -> Ma
         moved, jacobians = deformation.with_jacobian(job.anatomy.vertices())
         carried = Carried(job.anatomy, job.anatomy.with_vertices(moved), np.linalg.det(jacobians), {}, 0)
     between, gap = _between(_cut(job, frozenset()).anatomy, longest_mm=chosen.longest.most_mm)
-    return Made(Deformed(deformation, ()), carried, _looked_at(carried, deformation, between, gap, known=None), 0)
+    sampled = _looked_at(carried, deformation, between, gap, known=None)
+    return Made(Deformed(deformation, ()), carried, sampled, 0, lambda _: None)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

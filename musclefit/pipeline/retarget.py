@@ -13,7 +13,8 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.maps import certify_map
-from musclefit.errors import MeshError
+from musclefit.certify.model import MapCertificate
+from musclefit.errors import MeshError, NotConvergedError
 from musclefit.flow.bones import contact_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept_bones import KeptBone, kept_residuals
@@ -54,6 +55,9 @@ STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
     {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
 )
 
+
+PROOFS = 6
+"""Times that a march is taken back by what its proof comes upon."""
 
 MARGIN_SHARE = 0.25
 """A certified margin is at least this share of the sampled one: a larger one would take many more boxes to prove."""
@@ -254,10 +258,11 @@ class _Finisher:
         return replace(self, job=job, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
+        made, proof = self._proved(made)
         job, deformed, deformation = self.job, made.deformed, made.deformed.deformation
         moved = self._moved(made)
         with self.progress.stage(stage) as tick:
-            of_map = self._map(deformation, made.sampled, rule_in_words(job.rig.deformer))
+            of_map = self._map(deformation, made.sampled, proof, rule_in_words(job.rig.deformer))
             tets = self._tets(deformed, of_map)
             tick(0.2)
             landmarks = check_landmarks(
@@ -344,23 +349,42 @@ class _Finisher:
             moved = mended_tets(moved, held, progress=self.progress)
         return moved
 
-    def _map(self, deformation: Deformation, looked_at: Sampled, rule: str) -> MapCheck:
+    def _proved(self, made: Made) -> tuple[Made, MapCertificate | None]:
+        """The proof of the map, where the rig asks for one; the march goes on from what it fails at.
+
+        Between the places that a march is tested at, such as in the gap between two bones, a step may be too long for
+        its rule. A proof that comes upon such a place has the march tested there, too, and is tried again.
+        """
+        proof = self._proof(made)
+        for _ in range(PROOFS):
+            place = None if proof is None else _place_at_rest(made.deformed.deformation, proof)
+            again = None if place is None else made.tested_too(place)
+            if again is None or again.deformed.deformation.status is not Status.CONVERGED:
+                break
+            made, proof = again, self._proof(again)
+        return made, proof
+
+    def _proof(self, made: Made) -> MapCertificate | None:
+        settings, deformation = self.job.rig.certificate, made.deformed.deformation
+        if not settings.enabled or not deformation.steps:
+            return None
+        skin = self.job.anatomy.skin
+        return certify_map(
+            [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
+            made.sampled.points if skin is None else skin.surface,
+            max_boxes=settings.max_boxes,
+            margin_share=MARGIN_SHARE,
+            progress=self.proving,
+        )
+
+    def _map(self, deformation: Deformation, looked_at: Sampled, proof: MapCertificate | None, rule: str) -> MapCheck:
         """The sampled check, and above it the proof where the rig asks for one."""
         points = looked_at.points
         sampled = check_map(
             looked_at.determinants, points=points, rule=rule, margin=deformation.margin, gap_mm=looked_at.gap_mm
         )
-        settings = self.job.rig.certificate
-        if not settings.enabled or not deformation.steps:
+        if proof is None:
             return sampled
-        skin = self.job.anatomy.skin
-        proof = certify_map(
-            [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
-            points if skin is None else skin.surface,
-            max_boxes=settings.max_boxes,
-            margin_share=MARGIN_SHARE,
-            progress=self.proving,
-        )
         refuted = Claim.REFUTED in (sampled.claim, proof.claim)
         return replace(
             sampled,
@@ -392,6 +416,20 @@ class _Finisher:
             exposed_samples=len(between.distances),
             gap_mm=between.gap_mm,
         )
+
+
+def _place_at_rest(deformation: Deformation, proof: MapCertificate) -> Points | None:
+    """(1, 3) where at rest a step was found to break its rule, mm; None where none was, or that is not known."""
+    if proof.claim is not Claim.UNDECIDED or not proof.steps or not proof.steps[-1].sampled_margin <= 0.0:
+        return None
+    number, place = len(proof.steps) - 1, np.array([proof.steps[-1].worst_place])
+    step = deformation.steps[number]
+    if isinstance(step, CayleyStep):  # the place is one of midpoints
+        place = place - 0.5 * step.field.displacement(place)
+    try:
+        return Deformation(deformation.steps[:number], (), Status.CONVERGED).inverse()(place)
+    except NotConvergedError:
+        return None
 
 
 def _own_residuals(made: Made, motions: Mapping[str, RigidMotion]) -> Float:

@@ -51,6 +51,40 @@ def test_a_damaged_file_is_compiled_anew(tmp_path):
         assert said(begun(tmp_path)) == "1 0"
 
 
+KERNEL = """
+import sys
+import numpy as np
+from musclefit.fields.radial import RadialBackend
+at = np.array([[0.0, 0, 0], [30, 0, 0], [0, 30, 0], [0, 0, 30]])
+field = RadialBackend(sys.argv[1], scale=50.0).fit(at, 0.1 * at)
+print(*field.displacement_bounds(at + 1.0, np.zeros((4, 3)))[0].ravel())
+"""
+
+
+def test_what_was_compiled_of_one_kernel_is_never_taken_for_another(tmp_path):
+    """Files of compiled code exchanged, as a process that is ended while it writes may leave them."""
+
+    def values(kernel: str) -> list[str]:
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CACHE")}
+        environment["MUSCLEFIT_CACHE"] = str(tmp_path)
+        command = [sys.executable, "-c", KERNEL, kernel]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    right = {kernel: values(kernel) for kernel in ("gaussian", "wendland-c2")}
+    assert right["gaussian"] != right["wendland-c2"]
+    for name in ("values.value_sums.locals.summed-*.nbc", "radial_sums._scalar_rows.locals.*.nbc"):
+        files = sorted((tmp_path / "compiled" / "fields").rglob(name))
+        assert len(files) >= 2
+        by_name: dict[str, list[Path]] = {}
+        for file in files:
+            by_name.setdefault(file.name.split("-")[0], []).append(file)
+        for own in by_name.values():
+            data = [file.read_bytes() for file in own]
+            for file, other in zip(own, data[1:] + data[:1], strict=True):
+                file.write_bytes(other)
+    assert {kernel: values(kernel) for kernel in right} == right
+
+
 def test_a_folder_that_cannot_be_made_is_done_without(tmp_path):
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert said(begun(tmp_path / "file")) == "0 1"

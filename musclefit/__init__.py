@@ -1,8 +1,8 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
-`fit_joint`, `joint_range`, `label_surfaces`, `warp_image` and `export`. They and what they give back are stable, as are
-the other names of this module; what is in the rooms below may change with any version.
+`fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `export` and `init`. They and what they give back are
+stable, as are the other names of this module; what is in the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.check import check
     from musclefit.workflows.export import export
     from musclefit.workflows.fit_joint import fit_joint
+    from musclefit.workflows.init import init
     from musclefit.workflows.joint_range import joint_range
     from musclefit.workflows.label_surfaces import label_surfaces
     from musclefit.workflows.repair import repair
@@ -70,6 +71,7 @@ _HOMES = {
     "export": "workflows.export",
     "find_rig": "io.rigs",
     "fit_joint": "workflows.fit_joint",
+    "init": "workflows.init",
     "inspect": "pipeline.inspect",
     "joint_range": "workflows.joint_range",
     "label_surfaces": "workflows.label_surfaces",
@@ -119,6 +121,7 @@ __all__ = [
     "export",
     "find_rig",
     "fit_joint",
+    "init",
     "inspect",
     "joint_range",
     "label_surfaces",

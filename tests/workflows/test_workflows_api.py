@@ -25,6 +25,7 @@ COMMANDS = (
     "label_surfaces",
     "warp_image",
     "export",
+    "init",
 )
 
 

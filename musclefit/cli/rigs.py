@@ -1,0 +1,43 @@
+"""The commands about rig files: which come along, and a new one to start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+PASSED = 0
+
+
+def rigs() -> int:
+    """List the rigs that come with musclefit: name, title, and what they need."""
+    import tomllib
+
+    from musclefit.io.named_files import DATA_VARIABLE
+    from musclefit.io.rig_names import builtin_rig_path, builtin_rigs
+
+    for name in builtin_rigs():
+        text = builtin_rig_path(name).read_text(encoding="utf-8")
+        needs = f"  (needs {DATA_VARIABLE})" if DATA_VARIABLE in text else ""
+        print(f"{name:<16} {tomllib.loads(text)['title']}{needs}")
+    return PASSED
+
+
+def init(
+    rig: Annotated[Path, Parameter(help="The rig file to write, such as knee.toml; one that is there is kept.")],
+    /,
+    *,
+    anatomy: Annotated[
+        Path | None, Parameter(name="--anatomy", help="Folder of surfaces, one per tissue. Without it: a placeholder.")
+    ] = None,
+    joints: Annotated[
+        Path | None, Parameter(name="--joints", help="Table of joints. Without it: a placeholder.")
+    ] = None,
+) -> int:
+    """Write a rig of ten lines to start from: your surfaces, your joints, a pose."""
+    from musclefit.workflows.init import init as write
+
+    made = write(rig, anatomy=anatomy, joints=joints)
+    print(f"wrote {rig}: {made}")
+    return PASSED

@@ -32,8 +32,8 @@ from musclefit.caches import default_cache_folder
 if sys.platform != "win32":
     import fcntl
 
-KEPT_SOURCES = 48
-"""Of so many versions of its sources, and of what it was given, what was compiled of a function stays in the folder."""
+KEPT_SOURCES = 8
+"""Of so many versions of its sources what was compiled of a function stays in the folder."""
 
 WAIT_S = 120.0
 """So long a process waits for another that compiles the same function, before it does so itself."""
@@ -46,10 +46,16 @@ _IMPORTS = re.compile(r"^\s*from musclefit((?:\.\w+)*) import (\([^)]*\)|[^\n]*)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """As Numba's own, but where ``cache`` is true kept in the folder that all processes share."""
+    """As Numba's own, but where ``cache`` is true kept in the folder that all processes share.
+
+    A function that is made within another is named by what it is made of: Numba tells two of one name apart by counting,
+    and what another process compiled of the one may have the number that this process gives the other.
+    """
     kept = options.pop("cache", False)
 
     def compiled(function: Callable[..., Any]) -> Any:
+        if "<locals>" in function.__qualname__:  # its machine code is linked by this name
+            function.__qualname__ += f"_{fingerprint(function)[:16]}"
         made = numba.njit(no_cfunc_wrapper=True, **options)(function)
         if kept:
             made._cache = SharedCache(function)
@@ -174,7 +180,8 @@ def fingerprint(value: Any) -> str:
     if not isinstance(function, FunctionType):
         return sha256(repr(value).encode()).hexdigest()
     path = Path(getfile(function)).resolve()
-    told = sha256(f"{function.__module__}.{function.__qualname__}".encode())
+    code = function.__code__
+    told = sha256(f"{function.__module__}.{function.__qualname__}:{code.co_firstlineno}".encode() + code.co_code)
     told.update((source_stamp(path) if path.is_relative_to(_PACKAGE) else _file_stamp(path)).encode())
     for cell in function.__closure__ or ():
         told.update(fingerprint(cell.cell_contents).encode())

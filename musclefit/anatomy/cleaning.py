@@ -216,7 +216,7 @@ def _require_closed(vertices: Points, faces: Faces, *, name: str, source: str) -
         )
     holes = chains(boundary)
     raise MeshError(
-        f"{source}: tissue {name!r} is not closed: {_count(len(boundary), 'open edge')} around "
+        f"{source}: tissue {name!r} is not closed: {_count(len(boundary), 'boundary edge')} around "
         f"{_count(len(holes), 'hole')}, the largest with {_count(len(holes[0]), 'edge')} near "
         f"{_place(vertices[np.unique(holes[0])])}. {way_out}"
     )

@@ -709,7 +709,7 @@ def set_to_an_unknown_value(at: Place) -> Sequence[str]:
     return at.run("--set", "deformer.kernel=r5")
 
 
-@case('--set title="open', "not valid TOML", "quotes")
+@case('--set title="open', "not valid TOML", "quoted text")
 def set_to_broken_toml(at: Place) -> Sequence[str]:
     return at.run("--set", 'title="open')
 

@@ -60,6 +60,13 @@ def files_in(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
+def besides_stages(err: str) -> list[str]:
+    """What was told but how long stages took, which is told of slow ones."""
+    return [
+        line for line in err.splitlines() if not re.fullmatch(r"musclefit: [a-z' ]+: [\d.]+ (s|% after [\d.]+ s)", line)
+    ]
+
+
 # --- run
 
 
@@ -68,7 +75,7 @@ def test_a_run_writes_its_folder_and_passes(
 ) -> None:
     assert main(["run", str(rig), "--out", str(out)]) == 0
     told = capsys.readouterr()
-    assert told.err == ""
+    assert besides_stages(told.err) == []
     assert told.out.startswith("PASSED  Four balls, bent")
     assert f"written to {out}: report.html, report.json, surfaces\n" in told.out
     report = read(out)
@@ -210,7 +217,7 @@ def test_hostile_names_work_and_are_escaped(rig: Path, out: Path, capsys: pytest
         (rig.parent / "anatomy" / f"{name}.ply").write_bytes(ply_bytes(surface))
     assert main(["run", str(rig), "--out", str(out)]) == 0
     assert main(["check", str(rig.parent / "anatomy"), "--out", str(out.with_name("check"))]) == 0
-    assert capsys.readouterr().err == ""
+    assert besides_stages(capsys.readouterr().err) == []
     report = read(out)
     assert set(HOSTILE) < {tissue["name"] for tissue in report["tissues"]}
     assert len({entry["ply"] for entry in report["surfaces"]}) == len(report["tissues"])
@@ -245,7 +252,7 @@ def test_a_folder_whose_name_is_no_text_is_escaped(rig: Path, out: Path, capsys:
     assert "l\\udcf6sung" in (out / "report.html").read_text(encoding="utf-8")
     assert "l\udcf6sung" in read(out)["title"]
     assert main(["check", str(folder / "anatomy"), "--json"]) == 0
-    assert capsys.readouterr().err == ""
+    assert besides_stages(capsys.readouterr().err) == []
 
 
 # --- check
@@ -254,7 +261,7 @@ def test_a_folder_whose_name_is_no_text_is_escaped(rig: Path, out: Path, capsys:
 def test_check_passes_what_is_in_order(rig: Path, surroundings: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(rig.parent / "anatomy")]) == 0
     told = capsys.readouterr()
-    assert told.err == ""
+    assert besides_stages(told.err) == []
     assert "PASSED" in told.out
     assert "4 tissues, 1280 triangles, 0 findings" in told.out
     assert list(surroundings.iterdir()) == []
@@ -377,7 +384,7 @@ def test_help_names_every_option(
 ) -> None:
     assert main([*command, "--help"]) == 0
     told = capsys.readouterr()
-    assert told.err == ""
+    assert besides_stages(told.err) == []
     assert [word for word in words if word not in told.out] == []
     assert "--empty" not in told.out
     assert "--no-quiet" not in told.out
@@ -395,7 +402,7 @@ def test_the_installed_script_runs_and_leaves_the_current_folder_empty(
     arguments = [installed(), "run", str(rig), "--out", str(out), "--set", "tets.enabled=true"]
     ended = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-    assert [line.split(":")[0] for line in ended.stderr.splitlines()] == ["tetrahedra"]
+    assert [line.split(":")[0] for line in besides_stages(ended.stderr)] == ["tetrahedra"]
     assert ended.stdout.startswith("PASSED")
     assert read(out)["mesh"]["inverted"] == 0
     assert list(surroundings.iterdir()) == []

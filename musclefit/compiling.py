@@ -48,8 +48,8 @@ _IMPORTS = re.compile(r"^\s*from musclefit((?:\.\w+)*) import (\([^)]*\)|[^\n]*)
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """As Numba's own, but where ``cache`` is true kept in the folder that all processes share.
 
-    A function that is made within another is named by what it is made of: Numba tells two of one name apart by counting,
-    and what another process compiled of the one may have the number that this process gives the other.
+    A function that is made within another is named by what it is made of: Numba tells two of one name apart by
+    counting, and what another process compiled of the one may have the number that this process gives the other.
     """
     kept = options.pop("cache", False)
 

@@ -266,7 +266,7 @@ def _value(section: Section, key: str, hint: Any) -> Any:
     if dotted == "drive.pose":
         return _pose(section.section(key))
     if hint == tuple[PoseKey, ...]:
-        return tuple(PoseKey(key.number("at"), _pose(key, besides=("at",))) for key in section.sections(key))
+        return tuple(_pose_key(key) for key in section.sections(key))
     if hint == tuple[PlaceKey, ...]:
         return tuple(_place_key(section, key) for key in section.sections(key))
     if dotted == "anatomy.kinds":
@@ -299,6 +299,12 @@ def _listed(section: Section, key: str) -> tuple[str, ...]:
     if not values:
         raise section.error(key, "is an empty list; name at least one")
     return values
+
+
+def _pose_key(key: Section) -> PoseKey:
+    """A keyframe of joint angles."""
+    key.require(("at",))
+    return PoseKey(key.number("at"), _pose(key, besides=("at",)))
 
 
 def _place_key(drive: Section, key: Section) -> PlaceKey:

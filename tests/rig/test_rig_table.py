@@ -198,6 +198,10 @@ WRONG = {
         rig_table(limits__inverted_tets=0.5),
         "arm.toml: limits.inverted_tets: found the number 0.5; expected a whole number",
     ),
+    "keyframe without a moment": (
+        rig_table(drive__keyframes=[{}]),
+        r"arm.toml: drive.keyframes\[0\].at: is missing; add it",
+    ),
     "unknown kernel": (
         rig_table(deformer__kernel="r4"),
         "arm.toml: deformer.kernel: found 'r4'; did you mean 'r'\\? known: gaussian, inverse-mu",

@@ -31,7 +31,7 @@ def run(script: str, *arguments: str, folder: Path) -> subprocess.CompletedProce
 
 def test_every_example_is_tested() -> None:
     found = {path.name for path in EXAMPLES.glob("*.py")}
-    assert found <= {"retarget_script.py", "fig1_subdivision.py", "fig4_bar.py", *STARTED_ONLY}
+    assert found <= {"retarget_script.py", "built_in_limb.py", "fig1_subdivision.py", "fig4_bar.py", *STARTED_ONLY}
 
 
 @pytest.mark.parametrize("script", STARTED_ONLY)
@@ -104,3 +104,12 @@ def test_fig4_tells_its_options(tmp_path: Path) -> None:
     assert ended.returncode == 0, ended.stderr
     assert "--out" in ended.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_notebook_goes_from_the_limb_to_a_checked_pose(tmp_path: Path) -> None:
+    done = run("built_in_limb.py", folder=tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "elbow -5.0 to 150.0 deg" in done.stdout
+    assert "map certified" in done.stdout
+    assert "FAIL bone off rigid" in done.stdout  # as the notebook says of the paper's loop
+    assert "'report.html', 'report.json', 'surfaces'" in done.stdout

@@ -23,7 +23,7 @@ from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.repair import repair
-from musclefit.cli.rigs import init, rigs
+from musclefit.cli.rigs import init, rigs, schema
 from musclefit.cli.sequence import sequence
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
@@ -194,6 +194,7 @@ app.command(repair, sort_key=3)
 app.command(cage, sort_key=6)
 app.command(rigs, sort_key=8)
 app.command(init, sort_key=8)
+app.command(schema, sort_key=8)
 app.register_install_completion_command(sort_key=9)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -40,4 +40,17 @@ def init(
 
     made = write(rig, anatomy=anatomy, joints=joints)
     print(f"wrote {rig}: {made}")
+    return PASSED
+
+
+def schema(
+    of: Annotated[Literal["rig", "report", "check"], Parameter(help="What it is the schema of.")],
+    /,
+) -> int:
+    """Print the JSON Schema of rig files, or of the report of a run or a check."""
+    import json
+
+    from musclefit.workflows.schemas import schema as made
+
+    print(json.dumps(made(of), indent=2, ensure_ascii=False))
     return PASSED

@@ -10,7 +10,7 @@ from musclefit.rig.table_reader import suggestion
 
 def builtin_rigs() -> tuple[str, ...]:
     """The names of the rigs that come with musclefit, sorted."""
-    return tuple(sorted(path.stem for path in _rigs_folder().glob("*.toml")))
+    return tuple(sorted(path.stem for path in rigs_folder().glob("*.toml")))
 
 
 def builtin_rig_path(name: str) -> Path:
@@ -23,10 +23,10 @@ def builtin_rig_path(name: str) -> Path:
     """
     if name not in builtin_rigs():
         raise RigError(f"no rig is named {name!r}; {suggestion(name, builtin_rigs())}")
-    return _rigs_folder() / f"{name}.toml"
+    return rigs_folder() / f"{name}.toml"
 
 
-def _rigs_folder() -> Path:
+def rigs_folder() -> Path:
     """The folder of the built-in rigs: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     packed = package / "rigs"

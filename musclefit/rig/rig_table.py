@@ -59,6 +59,19 @@ _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
 }
 """Keys of the deformer that a backend has no use for."""
 
+SECTIONS: Mapping[str, type[DataclassInstance]] = {
+    "anatomy": AnatomySource,
+    "deformer": DeformerSettings,
+    "bones": BoneSettings,
+    "surfaces": SurfaceSettings,
+    "certificate": CertificateSettings,
+    "tets": TetSettings,
+    "mesh": MeshSettings,
+    "compare": CompareSettings,
+    "limits": Limits,
+}
+"""The sections of a rig and their records; [drive] has one for each kind."""
+
 _OPEN = ("anatomy.kinds", "drive.pose", "drive.carried", "tets.edge_length_mm", "tets.envelope_mm")
 """Tables whose keys the user chooses."""
 
@@ -166,20 +179,13 @@ def apply_overrides(table: Mapping[str, Any], overrides: Sequence[str], *, sourc
 
 def known_keys() -> tuple[str, ...]:
     """Every dotted key of a rig table; `anatomy.kinds.*` and `drive.pose.*_deg` stand for keys that the user names."""
-    sections: dict[str, tuple[type, ...]] = {
-        "anatomy": (AnatomySource,),
-        "drive": tuple(DRIVES.values()),
-        "deformer": (DeformerSettings,),
-        "bones": (BoneSettings,),
-        "surfaces": (SurfaceSettings,),
-        "certificate": (CertificateSettings,),
-        "tets": (TetSettings,),
-        "mesh": (MeshSettings,),
-        "compare": (CompareSettings,),
-        "limits": (Limits,),
-    }
+    anatomy, *others = SECTIONS.items()
     keys = ["title", "drive.kind"]
-    for section, records in sections.items():
+    for section, records in (
+        (anatomy[0], (anatomy[1],)),
+        ("drive", tuple(DRIVES.values())),
+        *((name, (record,)) for name, record in others),
+    ):
         keys += [f"{section}.{field.name}" for record in records for field in fields(record)]
     return tuple(dict.fromkeys(keys))
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 import musclefit as mf
 from musclefit.cli import main
+from musclefit.io.rig_names import builtin_rig_path, builtin_rigs
+from musclefit.workflows.schemas import schema
 
 JOINTS = {
     "units": "mm, degrees",
@@ -63,3 +67,38 @@ def test_what_is_there_is_kept_and_what_is_not_is_told(tmp_path: Path, capsys: p
         assert words in capsys.readouterr().err
     assert rig.read_bytes() == before
     assert not (tmp_path / "new.toml").exists()
+
+
+@pytest.mark.parametrize("of", ["rig", "report", "check"])
+def test_schemas_are_printed(of: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", of]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    jsonschema.Draft202012Validator.check_schema(printed)
+    assert printed["$id"] == f"urn:musclefit:{of}"
+
+
+def test_the_schema_of_rigs_takes_all_of_ours_and_no_other_key() -> None:
+    judge = jsonschema.Draft202012Validator(schema("rig"))
+    for name in builtin_rigs():
+        judge.validate(tomllib.loads(builtin_rig_path(name).read_text(encoding="utf-8")))
+    table = tomllib.loads(builtin_rig_path("upper_limb").read_text(encoding="utf-8"))
+    for change in (
+        {"deformer": {"kernels": "r3"}},
+        {"deformer": {"step": "caley"}},
+        {"drive": {**table["drive"], "pose": {"elbow": 3}}},
+        {"drive": {"kind": "joint"}},
+        {"title": 3},
+    ):
+        assert not judge.is_valid(table | change), change
+
+
+def test_every_key_of_the_schema_has_its_meaning() -> None:
+    made = schema("rig")["properties"]
+    records = [*(made[s] for s in made if s not in ("title", "drive")), *made["drive"]["oneOf"]]
+    untold = [
+        key
+        for record in records
+        for key, value in record["properties"].items()
+        if key != "kind" and not value.get("description")
+    ]
+    assert untold == []

@@ -64,7 +64,7 @@ def test_command_lines_are_commands(page: Path) -> None:
     lines = [line for block in blocks for line in block.splitlines() if line.startswith("musclefit ")]
     inline = [found for found in re.findall(r"`(musclefit [a-z][^`]*)`", text) if not re.search(r"[A-Z|\[]", found)]
     for line in [*lines, *inline]:
-        words = shlex.split(line)[1:]
+        words = shlex.split(line.partition(" > ")[0])[1:]
         if words[:1] == ["VERSION"] or len(words) < 2:
             continue
         app.parse_args(words, exit_on_error=False, print_error=False)

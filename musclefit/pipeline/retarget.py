@@ -132,7 +132,7 @@ class Retargeting:
     def report(self) -> Report:
         """The run summed up; timings, memory and versions are known only to who runs it."""
         return Report(
-            title=self.job.rig.title,
+            title=self.job.title,
             result=self.result.side,
             baseline=None if self.baseline is None else self.baseline.side,
             findings=self.findings,

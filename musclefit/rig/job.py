@@ -112,6 +112,12 @@ class Job:
     def __repr__(self) -> str:
         return f"Job({self.rig.title!r}: {self.anatomy!r}, {len(self.handles)} handles)"
 
+    @property
+    def title(self) -> str:
+        """The rig's title and, where joints drive, the pose: ``"Right forearm: elbow 75°, turn 70°"``."""
+        angles = ", ".join(f"{joint.replace('_', ' ')} {degrees:.6g}°" for joint, degrees in self.pose)
+        return f"{self.rig.title}: {angles}" if angles else self.rig.title
+
 
 def path_by_pairs(
     handles: Handles,

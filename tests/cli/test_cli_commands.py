@@ -443,7 +443,7 @@ def test_the_built_in_limb_arrives_by_the_papers_loop(out: Path, capsys: pytest.
     assert report == read(out)
     assert (report["status"], report["title"]) == (
         "converged",
-        "Built-in upper limb: elbow 75 deg, forearm turn 70 deg",
+        "Built-in upper limb: elbow 75°, forearm 70°",
     )
     assert report["landmarks"]["max_error_mm"] <= 1e-6
     assert report["map"]["folded_points"] == 0

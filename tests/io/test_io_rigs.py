@@ -569,6 +569,12 @@ def test_every_rig_that_comes_along_is_valid(path: Path) -> None:
     assert rig.title
 
 
+def test_a_job_is_titled_by_its_rig_and_its_pose() -> None:
+    assert read_rig(builtin_rig_path("upper_limb")).title == "Built-in upper limb: elbow 75°, forearm 70°"
+    other = read_rig(builtin_rig_path("upper_limb"), overrides=["drive.pose={ elbow_deg = 12.5 }"])
+    assert other.title == "Built-in upper limb: elbow 12.5°"
+
+
 @pytest.mark.parametrize("key", known_keys())
 def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
     section, _, name = key.rpartition(".")

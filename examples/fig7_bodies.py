@@ -33,7 +33,7 @@ from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform, deform_in_one_shot
-from musclefit.pipeline.retarget import STEP_KINDS
+from musclefit.pipeline.proving import STEP_KINDS
 from musclefit.progress import Silent
 from musclefit.rig.job import Job
 from musclefit.rig.settings import DeformerSettings

@@ -62,8 +62,8 @@ def frame_folder(sequence: Path, number: int) -> Path:
 def write_frame(sequence: Path, frame: Frame, *, job: Job, cpu_s: Mapping[str, float]) -> None:
     """Write a frame into a folder beside, then put it in place of a former one.
 
-    ``vertices.npy`` holds the vertices in double precision, ``tissues.vtp`` all surfaces for ParaView, ``frame.json``
-    what was measured, with the hashes of both and of itself.
+    ``vertices.npy`` holds the given vertices in double precision, ``tissues.vtp`` all surfaces for ParaView, as fine as
+    they were measured, ``frame.json`` what was measured, with the hashes of both and of itself.
     """
     target = frame_folder(sequence, frame.pose.number)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,8 @@ def write_frame(sequence: Path, frame: Frame, *, job: Job, cpu_s: Mapping[str, f
             data = BytesIO()
             np.save(data, np.asarray(frame.anatomy.vertices()), allow_pickle=False)
             (build / VERTICES).write_bytes(data.getvalue())
-            posed_surfaces(job.anatomy, frame.anatomy, time_s=frame.pose.time_s).save(build / SURFACES, binary=True)
+            rest, posed = frame.surfaces or (job.anatomy, frame.anatomy)
+            posed_surfaces(rest, posed, time_s=frame.pose.time_s).save(build / SURFACES, binary=True)
         record = _record(frame, job=job, cpu_s=cpu_s)
         record["files"] = {path.name: _digest(path.read_bytes()) for path in sorted(build.iterdir())}
         record["sha256"] = _digest(_canonical(record))

@@ -16,6 +16,7 @@ from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.geometry.surfaces.subdivision import FaceEdges, with_short_edges
 from musclefit.pipeline.chosen_settings import surface_choices
 from musclefit.pipeline.poses import collision_in_words, collision_on_the_way
+from musclefit.pipeline.proving import proved
 from musclefit.pipeline.refining import deform_finely
 from musclefit.pipeline.retarget import motions_of_held_bones
 from musclefit.pipeline.sequence import Stage, posed_job
@@ -208,7 +209,7 @@ class PosesOnTheWay:
         collision = collision_on_the_way(job, self._stage.bones)
         if collision is not None:
             raise PoseError(f"the pose at {pose.said} is refused: {collision_in_words(job, collision)}")
-        made = deform_finely(job, progress=Silent()).deformed
+        made = proved(deform_finely(job, progress=Silent()), job, progress=Silent())[0].deformed
         if made.deformation.status is not Status.CONVERGED:
             raise PoseError(f"the method does not reach the pose at {pose.said}: {made.deformation.status.value}")
         return _Map(made.deformation, motions_of_held_bones(job, made))

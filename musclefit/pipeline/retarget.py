@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,12 @@ import numpy as np
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
-from musclefit.certify.maps import certify_map
 from musclefit.certify.model import MapCertificate
-from musclefit.errors import MeshError, NotConvergedError
+from musclefit.errors import MeshError
 from musclefit.flow.bones import contact_residuals
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.kept_bones import KeptBone, kept_residuals
 from musclefit.flow.residuals import surface_residuals
-from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.flow.surface_refinement import Carried
 from musclefit.flow.tet_refinement import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
@@ -37,6 +34,7 @@ from musclefit.pipeline.deformers import (
 )
 from musclefit.pipeline.kept_bones import bone_limits, kept_choices
 from musclefit.pipeline.poses import bones_of, ranges_of, refuse_collision, shared_in_the_pose
+from musclefit.pipeline.proving import proved
 from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finely
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
@@ -49,18 +47,7 @@ from musclefit.validate.model import BoneFieldCheck, BoneOverlap, MapCheck, Mesh
 from musclefit.validate.overlaps import SolidAnatomy, check_outside_skin, check_overlaps, solid_anatomy
 from musclefit.validate.tets import check_tets, rest_findings
 from musclefit.validate.tissues import Motion, check_tissues
-from musclefit.vocabulary import BoneLimit, Claim, Compared, StepKind
-
-STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
-    {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
-)
-
-
-PROOFS = 6
-"""Times that a march is taken back by what its proof comes upon."""
-
-MARGIN_SHARE = 0.25
-"""A certified margin is at least this share of the sampled one: a larger one would take many more boxes to prove."""
+from musclefit.vocabulary import BoneLimit, Claim, Compared
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
@@ -258,7 +245,7 @@ class _Finisher:
         return replace(self, job=job, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
-        made, proof = self._proved(made)
+        made, proof = proved(made, self.job, progress=self.proving)
         job, deformed, deformation = self.job, made.deformed, made.deformed.deformation
         moved = self._moved(made)
         with self.progress.stage(stage) as tick:
@@ -349,34 +336,6 @@ class _Finisher:
             moved = mended_tets(moved, held, progress=self.progress)
         return moved
 
-    def _proved(self, made: Made) -> tuple[Made, MapCertificate | None]:
-        """The proof of the map, where the rig asks for one; the march goes on from what it fails at.
-
-        Between the places that a march is tested at, such as in the gap between two bones, a step may be too long for
-        its rule. A proof that comes upon such a place has the march tested there, too, and is tried again.
-        """
-        proof = self._proof(made)
-        for _ in range(PROOFS):
-            place = None if proof is None else _place_at_rest(made.deformed.deformation, proof)
-            again = None if place is None else made.tested_too(place)
-            if again is None or again.deformed.deformation.status is not Status.CONVERGED:
-                break
-            made, proof = again, self._proof(again)
-        return made, proof
-
-    def _proof(self, made: Made) -> MapCertificate | None:
-        settings, deformation = self.job.rig.certificate, made.deformed.deformation
-        if not settings.enabled or not deformation.steps:
-            return None
-        skin = self.job.anatomy.skin
-        return certify_map(
-            [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
-            made.sampled.points if skin is None else skin.surface,
-            max_boxes=settings.max_boxes,
-            margin_share=MARGIN_SHARE,
-            progress=self.proving,
-        )
-
     def _map(self, deformation: Deformation, looked_at: Sampled, proof: MapCertificate | None, rule: str) -> MapCheck:
         """The sampled check, and above it the proof where the rig asks for one."""
         points = looked_at.points
@@ -416,20 +375,6 @@ class _Finisher:
             exposed_samples=len(between.distances),
             gap_mm=between.gap_mm,
         )
-
-
-def _place_at_rest(deformation: Deformation, proof: MapCertificate) -> Points | None:
-    """(1, 3) where at rest a step was found to break its rule, mm; None where none was, or that is not known."""
-    if proof.claim is not Claim.UNDECIDED or not proof.steps or not proof.steps[-1].sampled_margin <= 0.0:
-        return None
-    number, place = len(proof.steps) - 1, np.array([proof.steps[-1].worst_place])
-    step = deformation.steps[number]
-    if isinstance(step, CayleyStep):  # the place is one of midpoints
-        place = place - 0.5 * step.field.displacement(place)
-    try:
-        return Deformation(deformation.steps[:number], (), Status.CONVERGED).inverse()(place)
-    except NotConvergedError:
-        return None
 
 
 def _own_residuals(made: Made, motions: Mapping[str, RigidMotion]) -> Float:

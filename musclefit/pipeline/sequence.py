@@ -39,6 +39,8 @@ class Frame:
         The bones that run into each other on the way to the pose, which is refused.
     problem : str
         Why there is no frame, in words; "" where there is one.
+    surfaces : two Anatomies or None
+        At rest and in the pose, on the triangles that were measured: the given ones, split where the map bends them.
     """
 
     pose: Pose
@@ -47,6 +49,7 @@ class Frame:
     muscles: tuple[MuscleMeasures, ...]
     collision: BoneCollision | None = None
     problem: str = ""
+    surfaces: tuple[Anatomy, Anatomy] | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -100,7 +103,8 @@ class Stage:
         except MusclefitError as error:
             return Frame(pose, None, None, (), None, str(error))
         muscles = measure_muscles(outcome.solid, sections=self.sections)
-        return Frame(pose, given_triangles(self.job.anatomy, outcome.deformed), outcome.side, muscles)
+        given = given_triangles(self.job.anatomy, outcome.deformed)
+        return Frame(pose, given, outcome.side, muscles, surfaces=(outcome.rest, outcome.deformed))
 
 
 def frames(job: Job, poses: Sequence[Pose], *, progress: Progress | None = None) -> Iterator[Frame]:

@@ -13,7 +13,7 @@ import musclefit
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.pipeline import between
+from musclefit.pipeline import between, proving
 from musclefit.pipeline.between import MAX_POSES, PoseError, PosesOnTheWay, between_frames
 from musclefit.pipeline.chosen_settings import surface_choices
 from musclefit.pipeline.sequence import Stage
@@ -174,3 +174,21 @@ def test_other_tissues_are_refused(stage: Stage, ends: tuple[Anatomy, Anatomy]) 
     fewer = Anatomy(tuple(tissue for tissue in ends[1] if tissue.name != "bone_distal"), ends[1].frame)
     with pytest.raises(InputError, match="different tissues"):
         between_frames(stage, POSES, (ends[0], fewer))
+
+
+def test_poses_on_the_way_go_back_to_the_march_as_frames_do(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame whose march was taken back by its proof is made alike when it is looked at closer."""
+    narrow = ("deformer.kernel=gaussian", "deformer.kernel_scale_mm=8")
+    stage = Stage.of(musclefit.read_rig(rig, overrides=(*FREE, *narrow)))
+    vertices = stage.job.anatomy.vertices()
+    places = np.random.default_rng(3).uniform(vertices.min(axis=0), vertices.max(axis=0), size=(20_000, 3))
+    monkeypatch.setattr(proving, "place_at_rest", lambda *_: places)
+    first, second = (stage.frame(pose) for pose in POSES)
+    assert second.side is not None
+    assert second.side.steps_returned > 0
+    assert first.anatomy is not None
+    assert second.anatomy is not None
+    PosesOnTheWay(stage, POSES, (first.anatomy, second.anatomy)).refined(PAIR, [0.0, 1.0], fineness=0)
+    monkeypatch.setattr(between, "proved", lambda made, *_, **__: (made, None))
+    with pytest.raises(PoseError, match="off in a frame from where the map takes it"):
+        PosesOnTheWay(stage, POSES, (first.anatomy, second.anatomy)).refined(PAIR, [0.0, 1.0], fineness=0)

@@ -13,8 +13,9 @@ from musclefit.certify.model import MapCertificate, StepCertificate
 from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.steps import CayleyStep, ExplicitStep
-from musclefit.pipeline import retarget
-from musclefit.pipeline.retarget import PROOFS, _Finisher, _place_at_rest
+from musclefit.pipeline import proving
+from musclefit.pipeline.proving import PROOFS, place_at_rest, proved
+from musclefit.progress import Silent
 from musclefit.vocabulary import Claim, StepKind
 
 HANDLES = np.array([[x, y, z] for x in (0.0, 40.0) for y in (0.0, 40.0) for z in (0.0, 40.0)])
@@ -58,16 +59,16 @@ def test_the_place_is_told_at_rest(kind: type, number: int) -> None:
     at_rest = np.array([[13.0, 22.0, 31.0]])
     stands = [at_rest, *(replace(whole, steps=whole.steps[:k])(at_rest) for k in (1, 2))]
     judged = 0.5 * (stands[number] + stands[number + 1]) if kind is CayleyStep else stands[number]
-    found = _place_at_rest(whole, undecided(number, judged[0]))
+    found = place_at_rest(whole, undecided(number, judged[0]))
     assert found is not None
     np.testing.assert_allclose(found, at_rest, atol=1e-9)
 
 
 def test_proofs_that_came_upon_no_such_place_name_none() -> None:
     whole, place = two_steps(CayleyStep), np.zeros(3)
-    assert _place_at_rest(whole, undecided(0, place, claim=Claim.CERTIFIED, margin=0.3)) is None
-    assert _place_at_rest(whole, undecided(0, place, margin=0.05)) is None  # the budget of boxes alone was spent
-    assert _place_at_rest(whole, undecided(0, place, margin=float("nan"))) is None
+    assert place_at_rest(whole, undecided(0, place, claim=Claim.CERTIFIED, margin=0.3)) is None
+    assert place_at_rest(whole, undecided(0, place, margin=0.05)) is None  # the budget of boxes alone was spent
+    assert place_at_rest(whole, undecided(0, place, margin=float("nan"))) is None
 
 
 class March:
@@ -88,9 +89,8 @@ def test_the_march_goes_back_until_it_is_proved_or_too_often(needed: int, monkey
     certified = undecided(1, place, claim=Claim.CERTIFIED, margin=0.3)
     log: list[Any] = []
     first = March(log, [undecided(1, place)] * needed + [certified])
-    monkeypatch.setattr(retarget._Finisher, "_proof", lambda _, made: made.proofs[0])
-    finish = _Finisher(*([None] * 6), ())  # type: ignore[arg-type]
-    made, proof = finish._proved(first)  # type: ignore[arg-type]
+    monkeypatch.setattr(proving, "_proof", lambda made, *_: made.proofs[0])
+    made, proof = proved(first, None, progress=Silent())  # type: ignore[arg-type]
     assert len(log) == min(needed, PROOFS)
     assert proof is made.proofs[0]  # type: ignore[attr-defined]
     assert (proof.claim is Claim.CERTIFIED) == (needed <= PROOFS)
@@ -99,7 +99,7 @@ def test_the_march_goes_back_until_it_is_proved_or_too_often(needed: int, monkey
 def test_a_march_that_nothing_shortens_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     log: list[Any] = []
     only = March(log, [undecided(0, np.full(3, 20.0))], helps=False)
-    monkeypatch.setattr(retarget._Finisher, "_proof", lambda _, made: made.proofs[0])
-    made, _ = _Finisher(*([None] * 6), ())._proved(only)  # type: ignore[arg-type]
+    monkeypatch.setattr(proving, "_proof", lambda made, *_: made.proofs[0])
+    made, _ = proved(only, None, progress=Silent())  # type: ignore[arg-type]
     assert made is only
     assert len(log) == 1

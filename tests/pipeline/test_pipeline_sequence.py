@@ -170,6 +170,22 @@ def test_frames_that_were_changed_are_made_again(plan: SequencePlan, made: Path,
     assert contents(folder) == contents(made)
 
 
+def test_the_surfaces_of_a_frame_are_those_that_were_measured(rig: Path, tmp_path: Path) -> None:
+    """Given triangles where they were split would be other bodies than the report's."""
+    finer = ("surfaces.refine=true", "surfaces.longest_edge_mm=4")
+    job = musclefit.read_rig(rig, overrides=(*PATH, *finer))
+    run_sequence(planned(job, motion=rig.with_name("bend.csv"), frames=3), tmp_path / "out")
+    folder = tmp_path / "out" / "frames" / "0001"
+    record = json.loads((folder / "frame.json").read_text(encoding="utf-8"))["result"]
+    surfaces = pv.read(folder / "tissues.vtp")
+    assert record["edges_split"] > 0
+    assert surfaces.n_points == len(job.anatomy.vertices()) + record["edges_split"]
+    for number, tissue in enumerate(record["tissues"]):
+        own = surfaces.extract_cells(surfaces.cell_data["tissue"] == number).extract_surface(algorithm=None)
+        assert own.volume == pytest.approx(tissue["volume_mm3"], rel=1e-5)
+    assert len(np.load(folder / "vertices.npy")) == len(job.anatomy.vertices())
+
+
 def test_frames_of_other_settings_are_made_again(job: Job, rig: Path, made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     shutil.copytree(made, folder)

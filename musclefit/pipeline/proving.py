@@ -1,0 +1,79 @@
+"""The proof of a job's map; what it fails at goes back to the march."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from musclefit.certify.maps import certify_map
+from musclefit.certify.model import MapCertificate
+from musclefit.errors import NotConvergedError
+from musclefit.flow.deformation import Deformation, Status
+from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
+from musclefit.geometry.arrays import Points
+from musclefit.pipeline.refining import Made
+from musclefit.progress import Progress
+from musclefit.rig.job import Job
+from musclefit.vocabulary import Claim, StepKind
+
+STEP_KINDS: Mapping[type[Step], StepKind] = MappingProxyType(
+    {ExplicitStep: StepKind.EXPLICIT, CayleyStep: StepKind.CAYLEY}
+)
+
+PROOFS = 6
+"""Times that a march is taken back by what its proof comes upon."""
+
+MARGIN_SHARE = 0.25
+"""A certified margin is at least this share of the sampled one: a larger one would take many more boxes to prove."""
+
+
+def proved(made: Made, job: Job, *, progress: Progress) -> tuple[Made, MapCertificate | None]:
+    """The proof of the map, where the rig asks for one; the march goes on from what it fails at.
+
+    Between the places that a march is tested at, such as in the gap between two bones, a step may be too long for
+    its rule. A proof that comes upon such a place has the march tested there, too, and is tried again.
+
+    Parameters
+    ----------
+    made : Made
+    job : Job
+        What it was made of.
+    """
+    proof = _proof(made, job, progress)
+    for _ in range(PROOFS):
+        place = None if proof is None else place_at_rest(made.deformed.deformation, proof)
+        again = None if place is None else made.tested_too(place)
+        if again is None or again.deformed.deformation.status is not Status.CONVERGED:
+            break
+        made, proof = again, _proof(again, job, progress)
+    return made, proof
+
+
+def place_at_rest(deformation: Deformation, proof: MapCertificate) -> Points | None:
+    """(1, 3) where at rest a step was found to break its rule, mm; None where none was, or that is not known."""
+    if proof.claim is not Claim.UNDECIDED or not proof.steps or not proof.steps[-1].sampled_margin <= 0.0:
+        return None
+    number, place = len(proof.steps) - 1, np.array([proof.steps[-1].worst_place])
+    step = deformation.steps[number]
+    if isinstance(step, CayleyStep):  # the place is one of midpoints
+        place = place - 0.5 * step.field.displacement(place)
+    try:
+        return Deformation(deformation.steps[:number], (), Status.CONVERGED).inverse()(place)
+    except NotConvergedError:
+        return None
+
+
+def _proof(made: Made, job: Job, progress: Progress) -> MapCertificate | None:
+    settings, deformation = job.rig.certificate, made.deformed.deformation
+    if not settings.enabled or not deformation.steps:
+        return None
+    skin = job.anatomy.skin
+    return certify_map(
+        [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
+        made.sampled.points if skin is None else skin.surface,
+        max_boxes=settings.max_boxes,
+        margin_share=MARGIN_SHARE,
+        progress=progress,
+    )

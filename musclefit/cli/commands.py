@@ -1,4 +1,4 @@
-"""The commands: each reads, calls one pipeline function, writes; exit code 0 passed, 1 a limit failed, 2 bad input."""
+"""The commands: each calls one workflow and prints what it gives; exit code 0 passed, 1 a limit failed, 2 bad input."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ WIDTH = 200
 """Columns of the table where there is no terminal."""
 
 CLEARANCE_MM = 0.1
-"""Of `anatomy.repairs.RepairSettings`, which takes too long to import for a line of help."""
+"""Of `musclefit.anatomy.repair.records.RepairSettings`, which takes too long to import for a line of help."""
 
 PAIRS_SHOWN = 20
 """Overlapping pairs in the terminal; all are in the report."""

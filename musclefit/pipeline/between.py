@@ -27,7 +27,7 @@ from musclefit.validate.close_meetings import Look, MeetingKind, Names, Posed, R
 from musclefit.validate.tissues import Motion
 
 MAX_POSES = 7
-"""Poses that are made for one pair of frames, both frames counted: each costs what a frame's march does."""
+"""Poses that are made for one pair of frames, both frames counted: each costs what a frame's march and proof do."""
 
 MAX_PAIRS = 24
 """Pairs of tissues that are looked at closer between two frames, those that no frame shows first; what is beyond is

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import ClassVar, Protocol, Self
@@ -205,6 +205,16 @@ def register_drive(drive: type[Drive]) -> type[Drive]:
     if _known.setdefault(drive.kind, drive) is not drive:
         raise RigError(f"a drive is of kind {drive.kind!r} already; give this one another")
     return drive
+
+
+def found_if_named(text: str, files: Files, *, key: str) -> str:
+    """The absolute path of a file that a rig may leave out; "" where it does."""
+    return files.find(text, key=key) if text else ""
+
+
+def found_keyframes(keyframes: Sequence[PlaceKey], files: Files) -> tuple[PlaceKey, ...]:
+    """Keyframes with the absolute paths of their files."""
+    return tuple(replace(key, file=files.find(key.file, key="drive.keyframes")) for key in keyframes)
 
 
 def at_least_one(key: str, value: int) -> None:

@@ -19,15 +19,11 @@ _PLAIN: Mapping[Any, Schema] = {
     float: {"type": "number"},
 }
 
-_TABLES: Mapping[str, Schema] = {
-    "anatomy.kinds": {"type": "object", "additionalProperties": {"enum": ["skin", "muscle", "bone", "other"]}},
+_WRITTEN_OTHERWISE: Mapping[str, Schema] = {
     "drive.pose": {"type": "object", "patternProperties": {"_deg$": {"type": "number"}}, "additionalProperties": False},
-    "drive.carried": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "string"}}},
     "drive.keyframes": {"type": "array", "items": {"type": "object", "required": ["at"]}},
-    "tets.edge_length_mm": {"type": "object", "additionalProperties": {"type": "number"}},
-    "tets.envelope_mm": {"type": "object", "additionalProperties": {"type": "number"}},
 }
-"""Keys that hold tables."""
+"""Keys whose values a rig writes in other words than the records hold them."""
 
 
 def rig_schema(meanings: Mapping[str, str]) -> Schema:
@@ -68,8 +64,8 @@ def _object(
     for field in fields(record):
         key = f"{section}.{field.name}"
         told = {"description": meanings[key]} if key in meanings else {}
-        table = _TABLES.get(f"{section.partition('(')[0]}.{field.name}")
-        properties[field.name] = {**(table or _of(hints[field.name])), **told}
+        otherwise = _WRITTEN_OTHERWISE.get(f"{section.partition('(')[0]}.{field.name}")
+        properties[field.name] = {**(otherwise or _of(hints[field.name])), **told}
         if field.default is MISSING and field.default_factory is MISSING:
             required.append(field.name)
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
@@ -84,4 +80,8 @@ def _of(hint: Any) -> Schema:
     arguments = [argument for argument in get_args(hint) if argument is not type(None)]
     if len(arguments) == 1:
         return _of(arguments[0])
-    return {"type": "array", "items": _of(arguments[0])}  # tuple[X, ...]
+    item = arguments[0]  # of tuple[X, ...]
+    named = get_args(item)
+    if len(named) == 2 and named[0] is str and named[1] is not ...:  # pairs of a name and a value are a table
+        return {"type": "object", "additionalProperties": _of(named[1])}
+    return {"type": "array", "items": _of(item)}

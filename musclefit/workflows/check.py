@@ -14,25 +14,19 @@ from musclefit.io.run_folder import check_writable, write_inspection
 from musclefit.pipeline.inspect import inspect
 from musclefit.progress import Progress
 from musclefit.report.model import MeshReport
-from musclefit.validate.model import Check
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import KindsGiven, kinds_given, paths_given, word
 from musclefit.workflows.progress import watched
-from musclefit.workflows.results import Shown
+from musclefit.workflows.results import Judged
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
-class Checked(Shown):
+class Checked(Judged):
     """An anatomy that was checked: the tissues, the report, and the folder it was written to or None."""
 
     anatomy: Anatomy
     report: MeshReport
     folder: Path | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether it keeps all limits."""
-        return self.report.verdict == "passed"
 
     def said(self) -> str:
         """Verdict and size in a line."""
@@ -47,10 +41,6 @@ class Checked(Shown):
             "overlaps": self.report.overlaps.pairs,
             "findings": self.report.findings,
         }
-
-    def checks_shown(self) -> tuple[Check, ...]:
-        """All of them."""
-        return self.report.checks
 
 
 def check(

@@ -12,6 +12,7 @@ import numpy as np
 from musclefit.geometry.arrays import Float
 from musclefit.geometry.fitting import CylinderFit
 from musclefit.io.anatomy import read_surface
+from musclefit.io.formats.tables import toml_string
 from musclefit.rig.articulation import FittedJoint, fitted_joint
 from musclefit.rig.joint_kinds import JointKind
 from musclefit.vocabulary import Unit
@@ -96,8 +97,8 @@ class JointFit(Shown):
             lines.append(f"axis = {_listed(self.axis, 6)}")
         lines += [
             f"centre_mm = {_listed(self.centre_mm, 3)}",
-            f'fixed = ["{self.fixed}"]',
-            f'moving = ["{self.moving}"]',
+            f"fixed = [{toml_string(self.fixed)}]",
+            f"moving = [{toml_string(self.moving)}]",
             "",
         ]
         for found in self.fits:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically
-from musclefit.io.formats.tables import parse_table
+from musclefit.io.formats.tables import parse_table, toml_string
 from musclefit.rig.joints import parse_joints
 
 TEMPLATE = """title = {title}
@@ -56,7 +55,7 @@ def init(rig: str | Path, *, anatomy: str | Path | None = None, joints: str | Pa
             raise InputError(f"{joints} cannot be read: {error.strerror or error}") from None
         names = parse_joints(parse_table(data, source=str(joints)), source=str(joints)).coordinates
     text = TEMPLATE.format(
-        title=json.dumps(path.stem.replace("_", " ").capitalize(), ensure_ascii=False),
+        title=toml_string(path.stem.replace("_", " ").capitalize()),
         folder=_from(path, anatomy, otherwise="anatomy"),
         joints=_from(path, joints, otherwise="joints.json"),
         pose=", ".join(f"{_key(f'{name}_deg')} = {0 if k else 10}" for k, name in enumerate(names)),
@@ -70,15 +69,15 @@ def init(rig: str | Path, *, anatomy: str | Path | None = None, joints: str | Pa
 
 def _key(name: str) -> str:
     """A key as TOML writes it."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_string(name)
 
 
 def _from(rig: Path, target: str | Path | None, *, otherwise: str) -> str:
     """A path as the rig writes it, relative to its folder where that is possible."""
     if target is None:
-        return json.dumps(otherwise)
+        return toml_string(otherwise)
     try:
         shown = Path(os.path.relpath(Path(target).absolute(), rig.absolute().parent)).as_posix()
     except ValueError:  # another drive
         shown = Path(target).absolute().as_posix()
-    return json.dumps(shown, ensure_ascii=False)
+    return toml_string(shown)

@@ -16,27 +16,21 @@ from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repai
 from musclefit.pipeline.repair import repair as repaired
 from musclefit.progress import Progress
 from musclefit.report.repairs import RepairReport
-from musclefit.validate.model import Check
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import KindsGiven, kinds_given, word
 from musclefit.workflows.progress import watched
-from musclefit.workflows.results import Shown
+from musclefit.workflows.results import Judged
 
 DEFAULTS = RepairSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
-class Repair(Shown):
+class Repair(Judged):
     """A repair that is done: the tissues, the report, and the files written."""
 
     anatomy: Anatomy
     report: RepairReport
     written: tuple[Path, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether all limits are kept."""
-        return self.report.verdict == "passed"
 
     def said(self) -> str:
         """Verdict and size in a line."""
@@ -62,10 +56,6 @@ class Repair(Shown):
             "pairs": () if resolved is None else resolved.pairs,
             "findings": self.report.findings,
         }
-
-    def checks_shown(self) -> tuple[Check, ...]:
-        """All of them."""
-        return self.report.checks
 
 
 def repair(

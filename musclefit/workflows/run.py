@@ -29,19 +29,16 @@ from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import AttachedPoints, Job
 from musclefit.rig.settings import TetSettings
-from musclefit.validate.model import Check
 from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
-from musclefit.workflows.results import Shown
+from musclefit.workflows.results import Judged
 
 TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks", "averaged-frames", "points-outside-skin")
 """Findings that are told before the long work; the report lists them all."""
 
-DEMO_RIG = "upper_limb"
-
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
-class Run(Shown):
+class Run(Judged):
     """A run that is done.
 
     Parameters
@@ -57,11 +54,6 @@ class Run(Shown):
     made: Retargeting
     report: Report
     folder: Path | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether the result keeps all of its limits."""
-        return self.report.verdict == "passed"
 
     @property
     def job(self) -> Job:
@@ -107,10 +99,6 @@ class Run(Shown):
             "overlaps": side.overlaps.pairs,
             "findings": self.report.findings,
         }
-
-    def checks_shown(self) -> tuple[Check, ...]:
-        """All of the result's."""
-        return self.report.checks
 
     def plot(self) -> Any:
         """A pyvista plotter with the tissues before and after, side by side: call its ``show``."""

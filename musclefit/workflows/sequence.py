@@ -42,10 +42,9 @@ from musclefit.report.sequence import (
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
 from musclefit.rig.transforms import BoneTransforms
-from musclefit.validate.model import Check
 from musclefit.workflows.given import RigGiven, rig_given, word
 from musclefit.workflows.progress import watched
-from musclefit.workflows.results import Shown
+from musclefit.workflows.results import Judged
 from musclefit.workflows.sequence_tasks import examine, make, prepare, read_between
 from musclefit.workflows.worker_pool import Pool
 
@@ -126,17 +125,12 @@ class FrameOnDisk:
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
-class FollowedMotion(Shown):
+class FollowedMotion(Judged):
     """A motion that was followed: the report, and the folder that holds its frames."""
 
     plan: SequencePlan
     report: SequenceReport
     folder: Path
-
-    @property
-    def passed(self) -> bool:
-        """Whether all frames, and what lies between them, keep the limits."""
-        return self.report.verdict == "passed"
 
     def frames(self) -> Iterator[FrameOnDisk]:
         """The frames in order of time, read back."""
@@ -156,10 +150,6 @@ class FollowedMotion(Shown):
         ]
         muscles = [dict(zip(heading, row, strict=True)) for row in rows]
         return {"checks": self.report.checks, "frames": frames, "muscles": muscles}
-
-    def checks_shown(self) -> tuple[Check, ...]:
-        """All of them."""
-        return self.report.checks
 
 
 def sequence(

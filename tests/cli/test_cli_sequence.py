@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import jsonschema
@@ -84,17 +85,28 @@ def test_transforms_are_their_own_motion(rig: Path, tmp_path: Path, capsys: pyte
     assert not (tmp_path / "new").exists()
 
 
+def write_roller_and_tube(roller: Path, tube: Path) -> None:
+    trimesh.creation.cylinder(radius=10.0, height=30.0, sections=64).subdivide_to_size(4.0).export(roller)
+    around = trimesh.creation.annulus(r_min=11.0, r_max=14.0, height=28.0, sections=64)
+    around.subdivide_to_size(4.0).export(tube)
+
+
 def test_a_joint_is_fitted_and_printed_as_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    roller = trimesh.creation.cylinder(radius=10.0, height=30.0, sections=64).subdivide_to_size(4.0)
-    tube = trimesh.creation.annulus(r_min=11.0, r_max=14.0, height=28.0, sections=64).subdivide_to_size(4.0)
-    roller.export(tmp_path / "ulna.ply")
-    tube.export(tmp_path / "humerus.ply")
+    write_roller_and_tube(tmp_path / "ulna.ply", tmp_path / "humerus.ply")
     assert main(["fit-joint", str(tmp_path / "humerus.ply"), str(tmp_path / "ulna.ply"), "--within-mm", "2"]) == 0
     said = capsys.readouterr().out
     assert 'fixed = ["humerus"]' in said
     assert "centre_mm = [" in said
     assert "mm rms" in said
     assert "the axes of the two bones differ by 0.0 deg and 0.0" in said
+
+
+def test_bones_of_any_name_are_printed_as_valid_toml(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fixed, moving = '"left" \\ ulna\x7f', "Elle's"
+    write_roller_and_tube(tmp_path / f"{moving}.ply", tmp_path / f"{fixed}.ply")
+    assert main(["fit-joint", str(tmp_path / f"{fixed}.ply"), str(tmp_path / f"{moving}.ply"), "--within-mm", "2"]) == 0
+    joint = tomllib.loads(capsys.readouterr().out)["joint"]
+    assert (joint["fixed"], joint["moving"]) == ([fixed], [moving])
 
 
 def test_joint_ranges_are_printed_or_given_as_json(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:

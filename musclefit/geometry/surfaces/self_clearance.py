@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from musclefit.geometry.arrays import Bool
+from musclefit.geometry.arrays import Bool, Int, Points
 from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.booleans import vertex_normals
@@ -80,7 +80,7 @@ def with_self_clearance(mesh: TriMesh, *, width_mm: float, most_mm: float) -> Cl
         Without faults where there were none; the very same mesh where nothing is too close or nothing helps.
     """
     done = _moved_apart(mesh, width_mm=width_mm, most_mm=most_mm)
-    least = NO_WIDTH * width_mm
+    least, before = NO_WIDTH * width_mm, enclosed_volume(mesh)
     for attempt in range(ATTEMPTS):
         close = too_close(done.mesh, width_mm=least)
         if not close.any():
@@ -91,7 +91,6 @@ def with_self_clearance(mesh: TriMesh, *, width_mm: float, most_mm: float) -> Cl
         if closed.left or not len(closed.mesh.faces):
             continue
         trial = _moved_apart(closed.mesh, width_mm=width_mm, most_mm=most_mm)
-        before = enclosed_volume(mesh)
         changed = abs(enclosed_volume(trial.mesh) - before) > 0.01 * MOST_PERCENT * abs(before)
         fewer = too_close(trial.mesh, width_mm=least).sum() < close.sum()
         if fewer and not changed and faults_of(trial.mesh).none:
@@ -110,8 +109,13 @@ def too_close(mesh: TriMesh, *, width_mm: float) -> Bool:
     close = np.zeros(len(mesh.faces), dtype=bool)
     normals = vertex_normals(mesh)
     for side in (1.0, -1.0):
-        close[self_crossings(mesh.with_vertices(mesh.vertices + side * 0.5 * width_mm * normals)).pairs.ravel()] = True
+        close[_crossing(mesh, normals, grown_mm=side * 0.5 * width_mm)] = True
     return close
+
+
+def _crossing(mesh: TriMesh, normals: Points, *, grown_mm: float) -> Int:
+    """Numbers of the triangles that cross others when the surface is grown."""
+    return np.unique(self_crossings(mesh.with_vertices(mesh.vertices + grown_mm * normals)).pairs)
 
 
 def _moved_apart(mesh: TriMesh, *, width_mm: float, most_mm: float) -> Cleared:
@@ -122,8 +126,7 @@ def _moved_apart(mesh: TriMesh, *, width_mm: float, most_mm: float) -> Cleared:
     for _ in range(ROUNDS):
         push = np.zeros(len(shift))
         for side in (1.0, -1.0):
-            other = best.with_vertices(best.vertices + side * 0.5 * width_mm * normals)
-            push[np.unique(mesh.faces[self_crossings(other).pairs])] -= side
+            push[np.unique(mesh.faces[_crossing(best, normals, grown_mm=side * 0.5 * width_mm)])] -= side
         to = np.where(held, shift, np.clip(shift + 0.25 * width_mm * push, -most_mm, most_mm))
         if (to == shift).all():
             break

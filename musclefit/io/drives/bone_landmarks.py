@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
 
 from musclefit.errors import InputError, LandmarkError
 from musclefit.io.formats.landmarks import LandmarkTable, read_landmarks
-from musclefit.rig.drive import Drive, Files
+from musclefit.rig.drive import Files
 from musclefit.rig.handles import Handles
 from musclefit.rig.table_reader import Section
 from musclefit.vocabulary import Unit
-
-Record = TypeVar("Record", bound=Drive)
 
 
 def refuse_two_ways(section: Section) -> None:

@@ -11,7 +11,7 @@ from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.anatomy import read_surface
 from musclefit.io.drives.pairs import Pairs
-from musclefit.rig.drive import Drive, Files, register_drive
+from musclefit.rig.drive import Drive, Files, found_keyframes, register_drive
 from musclefit.rig.job import cage_crossings, cage_handles
 from musclefit.rig.keyframes import PlaceKey, require_moments
 from musclefit.vocabulary import CageCrossings, PathKind, Unit
@@ -40,7 +40,7 @@ class CageDrive(Drive):
             self,
             source=files.find(self.source, key="drive.source"),
             target=files.find(self.target, key="drive.target"),
-            keyframes=tuple(replace(k, file=files.find(k.file, key="drive.keyframes")) for k in self.keyframes),
+            keyframes=found_keyframes(self.keyframes, files),
         )
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> Pairs:  # noqa: ARG002

@@ -12,7 +12,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import RigError
 from musclefit.io.drives.bone_landmarks import handles_of, read_bone_landmarks, refuse_two_ways
 from musclefit.io.formats.tables import parse_table
-from musclefit.rig.drive import Drive, Driver, Files, JobParts, at_least_one, register_drive
+from musclefit.rig.drive import Drive, Driver, Files, JobParts, at_least_one, found_if_named, register_drive
 from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import joint_findings, path_by_joints, require_bones
@@ -89,8 +89,8 @@ class JointDrive(Drive):
     def resolved(self, files: Files) -> JointDrive:
         """With absolute paths."""
         joints = files.find(self.joints, key="drive.joints")
-        landmarks = files.find(self.landmarks, key="drive.landmarks") if self.landmarks else ""
-        motion = files.find(self.motion, key="drive.motion") if self.motion else ""
+        landmarks = found_if_named(self.landmarks, files, key="drive.landmarks")
+        motion = found_if_named(self.motion, files, key="drive.motion")
         return replace(self, joints=joints, landmarks=landmarks, motion=motion)
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnJoints:  # noqa: ARG002

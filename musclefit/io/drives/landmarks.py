@@ -14,7 +14,7 @@ from musclefit.io.drives.landmark_pairs import read_keyframes, read_pairs
 from musclefit.io.drives.pairs import Pairs
 from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
 from musclefit.rig.chain import ChainMotions, carriers_of
-from musclefit.rig.drive import Drive, Driver, Files, JobParts, register_drive
+from musclefit.rig.drive import Drive, Driver, Files, JobParts, found_if_named, found_keyframes, register_drive
 from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import check_owners
@@ -81,8 +81,8 @@ class LandmarkDrive(Drive):
         return replace(
             self,
             source=files.find(self.source, key="drive.source"),
-            target=files.find(self.target, key="drive.target") if self.target else "",
-            keyframes=tuple(replace(k, file=files.find(k.file, key="drive.keyframes")) for k in self.keyframes),
+            target=found_if_named(self.target, files, key="drive.target"),
+            keyframes=found_keyframes(self.keyframes, files),
         )
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> Driver:

@@ -13,7 +13,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import LandmarkError, RigError
 from musclefit.io.drives.landmark_pairs import read_keyframes, read_pairs
-from musclefit.rig.drive import Drive, Driver, Files, register_drive
+from musclefit.rig.drive import Drive, Driver, Files, found_if_named, found_keyframes, register_drive
 from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.keyframes import PlaceKey, require_moments
@@ -65,8 +65,8 @@ class SkeletonDrive(Drive):
         return replace(
             self,
             source=files.find(self.source, key="drive.source"),
-            target=files.find(self.target, key="drive.target") if self.target else "",
-            keyframes=tuple(replace(k, file=files.find(k.file, key="drive.keyframes")) for k in self.keyframes),
+            target=found_if_named(self.target, files, key="drive.target"),
+            keyframes=found_keyframes(self.keyframes, files),
         )
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnSkeleton:  # noqa: ARG002

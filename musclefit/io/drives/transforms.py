@@ -13,7 +13,7 @@ from musclefit.io.drives.bone_landmarks import handles_of, read_bone_landmarks, 
 from musclefit.io.drives.carried_bones import Carried, carriers_named, motion_findings
 from musclefit.io.formats.transforms import parse_transforms
 from musclefit.rig.chain import ChainMotions
-from musclefit.rig.drive import Drive, Driver, Files, JobParts, at_least_one, finite, register_drive
+from musclefit.rig.drive import Drive, Driver, Files, JobParts, at_least_one, finite, found_if_named, register_drive
 from musclefit.rig.handles import Handles
 from musclefit.rig.handles import Path as HandlePath
 from musclefit.rig.job import path_by_joints
@@ -85,7 +85,7 @@ class TransformDrive(Drive):
     def resolved(self, files: Files) -> TransformDrive:
         """With absolute paths."""
         transforms = files.find(self.transforms, key="drive.transforms")
-        landmarks = files.find(self.landmarks, key="drive.landmarks") if self.landmarks else ""
+        landmarks = found_if_named(self.landmarks, files, key="drive.landmarks")
         return replace(self, transforms=transforms, landmarks=landmarks)
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnTransforms:  # noqa: ARG002

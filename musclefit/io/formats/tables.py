@@ -67,3 +67,8 @@ def _unique(pairs: list[tuple[str, Any]], *, source: str) -> dict[str, Any]:
             raise RigError(f"{source}: {key}: stands twice in one object; remove one")
         table[key] = value
     return table
+
+
+def toml_string(text: str) -> str:
+    """A text as TOML writes it, in quotes."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

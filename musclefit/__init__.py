@@ -1,8 +1,9 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
-`fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `export` and `init`. They and what they give back are
-stable, as are the other names of this module; what is in the rooms below may change with any version.
+`fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export` and `init`. They and
+what they give back are stable, as are the other names of this module; what is in the rooms below may change with any
+version.
 """
 
 from importlib import import_module as _import_module
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
     from musclefit.workflows.repair import repair
     from musclefit.workflows.run import prepared_tets, run, save
     from musclefit.workflows.sequence import planned, read_frames, run_sequence, sequence
+    from musclefit.workflows.warp_deck import warp_deck
+    from musclefit.workflows.warp_field import warp_field
     from musclefit.workflows.warp_image import warp_image
 
 _HOMES = {
@@ -91,6 +94,8 @@ _HOMES = {
     "sequence": "workflows.sequence",
     "tetrahedralise": "meshing.ftetwild",
     "upper_limb": "anatomy.builtin",
+    "warp_deck": "workflows.warp_deck",
+    "warp_field": "workflows.warp_field",
     "warp_image": "workflows.warp_image",
 }
 
@@ -141,6 +146,8 @@ __all__ = [
     "sequence",
     "tetrahedralise",
     "upper_limb",
+    "warp_deck",
+    "warp_field",
     "warp_image",
 ]
 

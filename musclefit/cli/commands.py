@@ -25,6 +25,8 @@ from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.repair import repair
 from musclefit.cli.rigs import init, rigs, schema
 from musclefit.cli.sequence import sequence
+from musclefit.cli.warp_deck import warp_deck
+from musclefit.cli.warp_field import warp_field
 from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
@@ -185,6 +187,8 @@ def check(
 
 
 app.command(warp_image, name="warp-image", sort_key=4)
+app.command(warp_field, name="warp-field", sort_key=4)
+app.command(warp_deck, name="warp-deck", sort_key=4)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(export, sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)

@@ -16,11 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from musclefit.anatomy.model import Anatomy, Tissue
+from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
+from musclefit.figures.colours import tissue_colours
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.images.grids import Frame, stated_frame
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TriMesh
+from musclefit.io.formats.mrml import SceneModel, scene_text
 from musclefit.report.html import render_html, render_inspection
 from musclefit.report.model import MeshReport, Report
 from musclefit.report.schema import Json, to_json
@@ -29,12 +32,13 @@ if TYPE_CHECKING:
     from musclefit.anatomy.tetrahedra import TetAnatomy
     from musclefit.pipeline.intermediate_states import State
 
-REPORT_JSON, REPORT_HTML = "report.json", "report.html"
+REPORT_JSON, REPORT_HTML, SCENE = "report.json", "report.html", "scene.mrml"
 SURFACES, PICTURES, TETS, POINTS, INTERMEDIATE = "surfaces", "pictures", "tets.vtu", "points", "intermediate"
 
 _NO_POINTS: Mapping[str, Callable[[Path], None]] = MappingProxyType({})
 _NAME_BYTES = 100
 """Longest file name made of a tissue's, without its ending; file systems end at 255 bytes."""
+_SKIN_OPACITY = 0.35
 _SOLID = 3
 """Dimension of a tissue made of tetrahedra."""
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}
@@ -135,8 +139,9 @@ def write_run(
     def fill(build: Path) -> None:
         (build / SURFACES).mkdir()
         for tissue, files in zip(deformed, surfaces, strict=True):
-            (build / files["ply"]).write_bytes(ply_bytes(tissue.surface))
+            (build / files["ply"]).write_bytes(ply_bytes(tissue.surface, space=stated_frame(deformed.frame)))
             _save(surface_with_displacements(rest[tissue.name], tissue, frame=deformed.frame), build / files["vtp"])
+        (build / SCENE).write_text(_scene(deformed, surfaces), encoding="utf-8", errors="backslashreplace")
         if tets is not None:
             _save(labelled_tets(tets), build / TETS)
         if pictures:
@@ -199,10 +204,24 @@ def file_names(names: Sequence[str], *, numbered: bool = False) -> dict[str, str
     return safe
 
 
-def ply_bytes(mesh: TriMesh) -> bytes:
-    """Binary little-endian PLY with double positions, so that what is read back is what was written."""
+def _scene(anatomy: Anatomy, surfaces: Sequence[Mapping[str, str]]) -> str:
+    """A scene of the tissues for 3D Slicer, the skin translucent; in LPS where the anatomy states no frame."""
+    colours = tissue_colours(anatomy)
+    models = [
+        SceneModel(t.name, files["vtp"], colours[t.name], _SKIN_OPACITY if t.kind is TissueKind.SKIN else 1.0)
+        for t, files in zip(anatomy, surfaces, strict=True)
+    ]
+    return scene_text(models, frame=stated_frame(anatomy.frame) or Frame.LPS)
+
+
+def ply_bytes(mesh: TriMesh, *, space: Frame | None = None) -> bytes:
+    """Binary little-endian PLY with double positions, so that what is read back is what was written.
+
+    ``space`` is the frame that 3D Slicer is told; without it, Slicer takes a file to be LPS.
+    """
+    comment = "" if space is None else f"comment SPACE={space.value.upper()}\n"
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment lengths in mm\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment lengths in mm\n{comment}"
         f"element vertex {len(mesh.vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
         f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
@@ -214,7 +233,8 @@ def ply_bytes(mesh: TriMesh) -> bytes:
 def surface_with_displacements(rest: Tissue, deformed: Tissue, *, frame: str) -> Any:
     r"""The deformed surface as PolyData, with ``displacement_mm`` and ``rest_position_mm`` at its points.
 
-    ``name``, ``kind`` and ``frame`` are field data; VTK's text is ASCII, so anything else stands as ``\u8171``.
+    ``name``, ``kind`` and ``frame`` are field data, and so is ``SPACE``, LPS or RAS, where the frame states it, because
+    3D Slicer looks for that; VTK's text is ASCII, so anything else stands as ``\u8171``.
     """
     import pyvista as pv  # slow to import, and not needed to refuse a folder
 
@@ -223,6 +243,9 @@ def surface_with_displacements(rest: Tissue, deformed: Tissue, *, frame: str) ->
     surface.point_data["rest_position_mm"] = np.array(rest.surface.vertices)
     for key, text in (("name", deformed.name), ("kind", deformed.kind.value), ("frame", frame)):
         surface.field_data[key] = [_escaped(text)]
+    space = stated_frame(frame)
+    if space is not None:
+        surface.field_data["SPACE"] = [space.value.upper()]
     return surface
 
 

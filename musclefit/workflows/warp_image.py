@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from musclefit.pipeline.deformers import deform
 from musclefit.pipeline.images import WarpedImage, jacobian_map
 from musclefit.pipeline.images import warp_image as warped_image
 from musclefit.progress import Progress
+from musclefit.workflows.frames import frame_of
 from musclefit.workflows.given import RigGiven, rig_given, word
 from musclefit.workflows.progress import watched
 
@@ -77,7 +77,7 @@ def warp_image(
         _require_interpolation(image, whole=volume.holds_labels, interpolation=between)
         onto = volume.grid if like is None else read_volume(Path(like)).grid
         job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
-        _require_frame(job.anatomy.frame, into)
+        frame_of(job.anatomy.frame, into)
         deformation = deform(job, job.anatomy.vertices(), progress=stages).deformation.require()
         vectors = None if displacements is None else np.empty((*onto.shape, 3), dtype=np.float32)
         warped = warped_image(
@@ -103,13 +103,6 @@ def warp_image(
             )
         write_volume(Path(out), warped.values, onto, description=f"musclefit: {job.name}")
     return warped
-
-
-def _require_frame(stated: str, frame: Frame) -> None:
-    """InputError where the rig states another frame than the one given."""
-    named = {word.lower() for word in re.findall(r"\b(?:LPS|RAS)\b", stated)}
-    if named and frame.value not in named:
-        raise InputError(f'the rig\'s anatomy.frame is "{stated}", but --frame is {frame.value}; correct one of them')
 
 
 def _require_interpolation(path: Path, *, whole: bool, interpolation: Interpolation) -> None:

@@ -205,6 +205,7 @@ def test_a_second_run_replaces_the_first_and_keeps_what_is_not_ours(tmp_path):
         "notes.txt",
         "report.html",
         "report.json",
+        "scene.mrml",
         "surfaces/deltoid.ply",
         "surfaces/deltoid.vtp",
         "surfaces/view.pvsm",

@@ -24,6 +24,8 @@ COMMANDS = (
     "joint_range",
     "label_surfaces",
     "warp_image",
+    "warp_field",
+    "warp_deck",
     "export",
     "init",
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -16,6 +17,12 @@ class Frame(StrEnum):
 
     RAS = "ras"
     LPS = "lps"
+
+
+def stated_frame(words: str) -> Frame | None:
+    """The one frame that a description such as "patient (LPS), mm" names; None where it names none, or both."""
+    named = set(re.findall(r"\b(?:LPS|RAS)\b", words))
+    return Frame(named.pop().lower()) if len(named) == 1 else None
 
 
 class Interpolation(StrEnum):

@@ -164,6 +164,11 @@ def _require_ending(path: Path) -> None:
         raise InputError(f"{path}: images are read and written as {' or '.join(_ENDINGS)} files")
 
 
+def require_nibabel() -> None:
+    """Raise InputError where nibabel is not installed."""
+    _nibabel()
+
+
 def _nibabel() -> Any:
     try:
         import nibabel

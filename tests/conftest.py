@@ -1,9 +1,13 @@
-"""What all tests share: where the real anatomy is."""
+"""What all tests share: where the real anatomy is, and one thread for each of the processes that run them."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # before numpy is imported, which reads them once
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 import pytest
 

@@ -40,9 +40,13 @@ RINGS = 2
 SOFTNESSES, ITERATIONS = (1.0, 0.5, 0.25, 0.125, 0.06, 0.03), 60
 """While tets are inverted: from soft to nearly a barrier, and the iterations of each."""
 
-SHAPES, SETTLING, BARRIER = (0.1, 0.01, 0.003), 40, 1e-5
-"""Once none is: how much shapes count beside the springs that pull to the map, one after the other, the iterations of
-each, and the softness, which is a barrier by then."""
+SHAPE, SETTLING, BARRIER = 0.1, 40, 1e-5
+"""Once none is: how much shapes count beside the springs that pull to the map, the iterations, and the softness, which
+is a barrier by then."""
+
+NEARER = (0.01, 0.003)
+"""Once nothing is wrong: how much shapes count as vertices come still nearer to the map, one after the other, as long
+as nothing becomes wrong by it. Where shapes count so little before that, compressed tissue folds onto itself."""
 
 HEALTHY = 0.2
 """Tets of more than this share of their volume at rest should keep the shape they have; others, that at rest."""
@@ -135,6 +139,8 @@ def relocated_tets(rest: TetAnatomy, wanted: Points, *, bone: Int, progress: Pro
             if ground.is_wrong:
                 _make_room(ground, leave_out=rounds > LEAVING_OUT_FROM)
             tick(rounds / ROUNDS)
+        if not ground.is_wrong:
+            _come_nearer(ground)
     return _told(rest, ground, rounds, before)
 
 
@@ -258,9 +264,28 @@ def _mend(ground: _Ground) -> None:
             if (patch.ratios(ground) > 0.0).all():
                 break
     if (orientations(ground.now, ground.tets) > 0).all():
-        shapes = inverse_shapes(ground.rest, patch.tets)
-        for share in SHAPES:
-            patch.relax(ground, shapes=shapes, share=share, spring=1.0, softness=BARRIER, iterations=SETTLING)
+        _settle(ground, patch, share=SHAPE)
+
+
+def _settle(ground: _Ground, patch: _Patch, *, share: float) -> None:
+    """Come nearer to where the vertices should be, with no tet inverted."""
+    shapes = inverse_shapes(ground.rest, patch.tets)
+    patch.relax(ground, shapes=shapes, share=share, spring=1.0, softness=BARRIER, iterations=SETTLING)
+
+
+def _come_nearer(ground: _Ground) -> None:
+    """Come as near to where the vertices should be as leaves nothing wrong."""
+    if not ground.free.any():
+        return
+    patch = _Patch.of(ground)
+    for share in NEARER:
+        before = ground.now
+        _settle(ground, patch, share=share)
+        _look(ground)
+        if ground.is_wrong:
+            ground.now = before
+            _look(ground)
+            return
 
 
 @dataclass(frozen=True, eq=False, slots=True)

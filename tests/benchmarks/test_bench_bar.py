@@ -1,4 +1,4 @@
-"""A bar twisted by 180 degrees by 162 handles, and libigl's SLIM: pytest tests/benchmarks/test_bench_bar.py
+"""A bar twisted by 180 degrees by 162 handles, and libigl's SLIM: pytest -n0 tests/benchmarks/test_bench_bar.py
 
 Both end faces of its 18,432 tets are handles. Ours are Cayley steps along the skeleton's path, in float64 and with
 exact handles. SLIM (symmetric Dirichlet energy, handles as penalties of 1e5) starts from rest, as it must start from a

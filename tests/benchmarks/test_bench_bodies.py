@@ -1,4 +1,4 @@
-"""A whole body on a heavier one, and one SciPy warp of its points: pytest tests/benchmarks/test_bench_bodies.py
+"""A whole body on a heavier one, and one SciPy warp of its points: pytest -n0 tests/benchmarks/test_bench_bodies.py
 
 688 tissues and the skin, 485,000 vertices, 509 handles, phi = r. Ours is everything a run does but reading and
 writing: solids, Cayley steps, certificate, volumes, overlaps at rest, deformed and introduced, tissue outside the skin.

@@ -2,7 +2,7 @@
 
 Needs ferreus-rbf (``pip install .[bench]``). Threads are set before anything is imported:
 
-    OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 RAYON_NUM_THREADS=1 pytest tests/benchmarks/test_bench_radial.py -s
+    OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 RAYON_NUM_THREADS=1 pytest -n0 tests/benchmarks/test_bench_radial.py -s
 
 200,000 points are moved by m landmarks. Printed are CPU seconds (best of three; of one for peers at 5,000 landmarks) of
 fit and values, of fit, values and Jacobians, how many times as long a peer takes, and the largest error relative to the

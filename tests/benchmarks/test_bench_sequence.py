@@ -1,7 +1,7 @@
 """What workers gain: the built-in limb followed for 12 frames by two workers and by one, on a machine with nothing else
 to do; and what compiling costs a first run.
 
-Run: pytest tests/benchmarks/test_bench_sequence.py -s -m slow
+Run: pytest -n0 tests/benchmarks/test_bench_sequence.py -s -m slow
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tets of the built-in limb made and read back from the cache: pytest tests/benchmarks/test_bench_tets.py -s
+"""Tets of the built-in limb made and read back from the cache: pytest -n0 tests/benchmarks/test_bench_tets.py -s
 
 CPU seconds of this process and its children, since tetrahedra are made in a process of their own. With MUSCLEFIT_DATA
 and ``MUSCLEFIT_BENCH_RIG=forearm`` the 70 surfaces of the real forearm take their place (10 minutes).

@@ -1,4 +1,4 @@
-"""A 1 mm volume warped by 40 landmarks, and SimpleITK in the same run: pytest tests/benchmarks/test_bench_volumes.py
+"""A 1 mm volume warped by 40 landmarks beside SimpleITK: pytest -n0 tests/benchmarks/test_bench_volumes.py
 
 SimpleITK is given the displacement field, which it cannot make from landmarks without an inverse that it approximates;
 ours solves the inverse to 1e-6 mm. Both resample linearly on two threads. CPU seconds and their ratio are printed.

@@ -45,6 +45,27 @@ def test_the_bent_limb_is_certified_and_its_tissues_are_apart() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", range(3))
+def test_a_limb_bent_deeper_is_certified_with_whatever_mesh_comes(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tetrahedraliser makes another mesh each time; compressed muscles must not fold onto themselves in any."""
+    monkeypatch.setenv("MUSCLEFIT_CACHE", str(tmp_path / str(number)))
+    pose = ("drive.pose.elbow_deg=100", "drive.pose.forearm_deg=80", "mesh.refine=true")
+    job = read_rig(find_rig("upper_limb"), overrides=pose, progress=Silent())
+    tets = prepared_tets(job)
+    assert tets is not None
+    assert job.motions is not None
+    deformed = deform(job, job.anatomy.vertices(), progress=Silent())
+    motions = job.motions.at(1.0)
+    held = [HeldBones(group.bones, motions[group.bones[0]]) for group in deformed.groups]
+    found = mended_tets(moved_tets(tets, deformed.deformation), held, progress=Silent())
+    check = check_tets(found.rest, found.vertices)
+    assert (check.claim, check.inverted, check.crossings) == (Claim.CERTIFIED, 0, 0)
+    assert_only_filler_was_left_out(tets, found.rest)
+
+
+@pytest.mark.slow
 def test_the_real_forearm_with_rigid_bones_is_certified_and_its_tissues_are_apart(
     anatomy_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

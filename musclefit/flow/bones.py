@@ -44,6 +44,9 @@ EXACT_PASSES, EXACT_ITERATIONS, EXACT_MM = 4, 200, 1e-10
 MISSED_MM = 0.003
 """A correction ends sooner when it misses its data by this root mean square."""
 
+LEAST_GAIN = 0.02
+"""Share of what is missed by which a few more iterations must lower it, or they are saved."""
+
 PATH_SAMPLES = 9
 """Poses along the path, ends included, at which the contact zone is looked for."""
 
@@ -258,7 +261,7 @@ class BoneStepper:
         places = self._slipping(end)
         _, normals = self._nearest(surfaces, places)
         middles = 0.5 * np.concatenate([held + targets, anchors + places])
-        backend = SolenoidalBackend(MISSED_MM)
+        backend = SolenoidalBackend(MISSED_MM, least_gain=LEAST_GAIN)
         local = backend.at_rest([self._seen_by(h, middles, middles[len(held) :]) for h in self.lattices_mm])
         for number in range(1 + SLIP_PASSES):
             if number:

@@ -10,6 +10,7 @@ from oracles import difference_jacobian
 
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
+from musclefit.fields.evaluation import potentials
 from musclefit.fields.fitting.solenoidal import SolenoidalBackend
 from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
@@ -182,3 +183,59 @@ def test_nothing_escapes_the_bounds_over_balls():
         assert np.linalg.norm(slopes - gradients[ball], ord=2, axis=(1, 2)).max() <= off[ball]
         assert ranges[ball, 0] <= strains.min()
         assert strains.max() <= ranges[ball, 1]
+
+
+def test_runs_of_coefficients_give_what_single_ones_give() -> None:
+    """At points that see all their splines; those at a border or in a hole of the lattice are found not to."""
+    rng = np.random.default_rng(7)
+    level = PotentialLevel.around(rng.uniform(-12.0, 12.0, (60, 3)), spacing_mm=4.0)
+    points = rng.uniform(-26.0, 26.0, (3000, 3))
+    rows = np.zeros((len(points), 16), np.int32)
+    potentials.runs_seen(level.low, level.spacing_mm, level.numbers, points, rows)
+    whole = rows[:, 0] >= 0
+    assert 50 < whole.sum() < 2000
+    coefficients = rng.normal(size=level.coefficients.shape)
+    expected, found = np.zeros((len(points), 3)), np.zeros((int(whole.sum()), 3))
+    potentials.curl_sum(level.low, level.spacing_mm, level.numbers, coefficients, points, expected)
+    components = np.ascontiguousarray(coefficients.T)
+    potentials.curl_sum_of_runs(level.low, level.spacing_mm, rows[whole], *components, points[whole], found)
+    np.testing.assert_allclose(found, expected[whole], rtol=0, atol=1e-14 * np.abs(expected).max() * 64)
+    values, spread, to_runs = rng.normal(size=found.shape), np.zeros_like(coefficients), np.zeros_like(components)
+    potentials.curl_spread(level.low, level.spacing_mm, level.numbers, points[whole], values, spread)
+    potentials.curl_spread_to_runs(level.low, level.spacing_mm, rows[whole], points[whole], values, *to_runs)
+    np.testing.assert_allclose(to_runs.T, spread, rtol=0, atol=1e-13 * np.abs(spread).max())
+    assert np.vdot(found, values) == pytest.approx(np.vdot(components, to_runs), rel=1e-10)
+
+
+def test_a_fit_is_the_same_wherever_its_points_stand_in_the_lattice() -> None:
+    """Points away from a level, and at its border, take part in the other levels' fit."""
+    rng = np.random.default_rng(9)
+    at, near = rng.uniform(-10.0, 10.0, (400, 3)), rng.uniform(-3.0, 3.0, (40, 3))
+    wanted = np.cross([0.1, -0.2, 0.05], at)
+    backend = SolenoidalBackend(1e-12)
+    on = backend.at_rest([(8.0, at), (2.0, near)]).levels
+    field = backend.fit(at, wanted, slip_normals=np.zeros((0, 3)), on=on, iterations=4000)
+    left = wanted - field.displacement(at)
+    slope = [np.zeros_like(level.coefficients) for level in on]
+    first = [np.zeros_like(level.coefficients) for level in on]
+    for level, out, start in zip(on, slope, first, strict=True):
+        potentials.curl_spread(level.low, level.spacing_mm, level.numbers, at, left, out)
+        potentials.curl_spread(level.low, level.spacing_mm, level.numbers, at, wanted, start)
+    for out, start in zip(slope, first, strict=True):
+        assert np.abs(out).max() < 1e-4 * np.abs(start).max()  # the normal equations hold on every level
+
+
+def test_a_fit_ends_where_iterations_gain_no_more() -> None:
+    rng = np.random.default_rng(11)
+    at = rng.uniform(-10.0, 10.0, (300, 3))
+    wanted = at - at.mean(axis=0)  # has divergence: most of it cannot be met
+    on = SolenoidalBackend(0.0).at_rest([(10.0, at), (5.0, at)]).levels
+    missed = {}
+    for gain in (0.0, 0.04):
+        backend = SolenoidalBackend(1e-9, least_gain=gain)
+        for most in (40, 400):
+            field = backend.fit(at, wanted, slip_normals=np.zeros((0, 3)), on=on, iterations=most)
+            missed[gain, most] = float(np.linalg.norm(field.displacement(at) - wanted))
+    assert missed[0.04, 40] == missed[0.04, 400]
+    assert missed[0.0, 400] < missed[0.0, 40]
+    assert missed[0.0, 40] <= missed[0.04, 40] < 1.3 * missed[0.0, 40]

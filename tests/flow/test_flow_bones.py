@@ -138,7 +138,7 @@ def test_the_field_follows_the_bones(bent):
     stepper, path, deformation = bent
     assert deformation.status is Status.CONVERGED
     residuals = exposed_residuals(GROUPS, deformation, MOTIONS.at(1.0))
-    assert np.quantile(residuals, 0.99) < 0.04
+    assert np.quantile(residuals, 0.99) < 0.05
     assert residuals.max() < 0.3
     away = surface_samples(ANATOMY["bone_lower"].surface, spacing_mm=0.3).points
     away = away[away[:, 2] < -8.0]

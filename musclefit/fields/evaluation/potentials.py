@@ -203,3 +203,90 @@ def spread_squares(low, h, numbers, points, out):
                         wk, dk = w[2, k - box[2, 2]], d[2, k - box[2, 2]]
                         x, y, z = di * wj * wk, wi * dj * wk, wi * wj * dk
                         out[row] += 2.0 / 3.0 * (x * x + y * y + z * z)
+
+
+@njit(cache=True)
+def runs_seen(low, h, numbers, points, rows):
+    """Write to ``rows`` (N, 16) int32 where each run of four coefficients along the last axis begins that a point sees.
+
+    The first of a point's rows is -1 where it does not see all of its 64 splines, or their coefficients do not follow
+    one another along the last axis.
+    """
+    w, d, e, box = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 3), np.int64)
+    for p in range(points.shape[0]):
+        whole = _box(points[p], low, h, numbers.shape, w, d, e, box)
+        for axis in range(3):
+            whole = whole and box[axis, 1] - box[axis, 0] == 4
+        if whole:
+            for i in range(4):
+                for j in range(4):
+                    first = numbers[box[0, 0] + i, box[1, 0] + j, box[2, 0]]
+                    rows[p, 4 * i + j] = first
+                    for k in range(4):
+                        row = numbers[box[0, 0] + i, box[1, 0] + j, box[2, 0] + k]
+                        whole = whole and row >= 0 and row == first + k
+        if not whole:
+            rows[p, 0] = -1
+
+
+@threaded(over="rows", each=BLOCK, fastmath=FAST)
+def curl_sum_of_runs(begin, end, low, h, rows, x, y, z, points, out):
+    """As `curl_sum`, of coefficients (K,) by component, at points that `runs_seen` found to see all their splines."""
+    w, d, e = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4))
+    for p in range(begin * BLOCK, min(len(rows), end * BLOCK)):
+        for axis in range(3):
+            u = (points[p, axis] - low[axis]) / h
+            _weights(u - np.floor(u), h, w[axis], d[axis], e[axis])
+        w0, w1, w2, w3 = w[2]
+        d0, d1, d2, d3 = d[2]
+        xy, xz, yx, yz, zx, zy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(4):
+            wi, di = w[0, i], d[0, i]
+            for j in range(4):
+                wj, dj = w[1, j], d[1, j]
+                r = rows[p, 4 * i + j]
+                c0, c1, c2, c3 = z[r], z[r + 1], z[r + 2], z[r + 3]
+                along = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
+                zx += di * wj * along
+                zy += wi * dj * along
+                c0, c1, c2, c3 = x[r], x[r + 1], x[r + 2], x[r + 3]
+                xy += wi * dj * (w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3)
+                xz += wi * wj * (d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3)
+                c0, c1, c2, c3 = y[r], y[r + 1], y[r + 2], y[r + 3]
+                yx += di * wj * (w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3)
+                yz += wi * wj * (d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3)
+        out[p, 0] += zy - yz
+        out[p, 1] += xz - zx
+        out[p, 2] += yx - xy
+
+
+@njit(fastmath=FAST, cache=True)
+def curl_spread_to_runs(low, h, rows, points, values, x, y, z):
+    """As `curl_spread`, to coefficients (K,) by component: the transpose of `curl_sum_of_runs`."""
+    w, d, e = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4))
+    for p in range(len(rows)):
+        for axis in range(3):
+            u = (points[p, axis] - low[axis]) / h
+            _weights(u - np.floor(u), h, w[axis], d[axis], e[axis])
+        w0, w1, w2, w3 = w[2]
+        d0, d1, d2, d3 = d[2]
+        a, b, c = values[p]
+        for i in range(4):
+            for j in range(4):
+                ww, dw, wd = w[0, i] * w[1, j], d[0, i] * w[1, j], w[0, i] * d[1, j]
+                r = rows[p, 4 * i + j]
+                along, across = ww * b, -wd * c
+                x[r] += along * d0 + across * w0
+                x[r + 1] += along * d1 + across * w1
+                x[r + 2] += along * d2 + across * w2
+                x[r + 3] += along * d3 + across * w3
+                along, across = -ww * a, dw * c
+                y[r] += along * d0 + across * w0
+                y[r + 1] += along * d1 + across * w1
+                y[r + 2] += along * d2 + across * w2
+                y[r + 3] += along * d3 + across * w3
+                across = wd * a - dw * b
+                z[r] += across * w0
+                z[r + 1] += across * w1
+                z[r + 2] += across * w2
+                z[r + 3] += across * w3

@@ -18,11 +18,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
 from musclefit.fields.evaluation import potentials
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
-from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.arrays import Float, Int, Points
 
 SMOOTHNESS = 1.5
 """Power of a lattice's spacing by which its coefficients are scaled, unless another is asked for."""
@@ -33,6 +34,9 @@ SEEN_SHARE = 0.9
 FLOOR = 0.1
 """... and the share of it that is added to all of them, so that hardly seen splines stay small."""
 
+
+PATIENCE = 5
+"""Iterations that are judged together."""
 
 ROUNDING = 1e-28
 """Of the gradient's square, as a share of its first: below it there is nothing left to go down."""
@@ -48,10 +52,13 @@ class SolenoidalBackend:
         Root mean square of what may be missed, at which the iteration ends.
     smoothness : float
         Power of a lattice's spacing by which its coefficients are scaled.
+    least_gain : float
+        The iteration ends, too, where ``PATIENCE`` iterations lowered what is missed by less than this share of it.
     """
 
     tolerance_mm: float
     smoothness: float = SMOOTHNESS
+    least_gain: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_mm < np.inf:
@@ -83,43 +90,102 @@ class SolenoidalBackend:
             At most so many: what is missed shows in the displacements.
         """
         problem = _Problem.of(at, slip_normals, on, smoothness=self.smoothness)
-        found = [np.zeros_like(level.coefficients) for level in on]
+        found = [np.zeros((3, len(level.coefficients))) for level in on]
         residual = problem.seen(displacements)
         slope = problem.backward(residual)
         direction, size = slope, _square(slope)
-        least = ROUNDING * size
-        for _ in range(iterations):
-            if np.linalg.norm(residual) <= self.tolerance_mm * np.sqrt(len(at)) or size <= least:
-                break
+        least, missed = ROUNDING * size, [float(np.linalg.norm(residual))]
+        while len(missed) <= iterations and not self._is_done(missed, count=len(at)) and size > least:
             image = problem.forward(direction)
             length = size / float(np.vdot(image, image))
             for part, along in zip(found, direction, strict=True):
                 part += length * along
             residual = residual - length * image
+            missed.append(float(np.linalg.norm(residual)))
             slope = problem.backward(residual)
             before, size = size, _square(slope)
             direction = [s + (size / before) * d for s, d in zip(slope, direction, strict=True)]
         return problem.field(found)
 
+    def _is_done(self, missed: list[float], *, count: int) -> bool:
+        """Whether the norms of what was missed so far end the iteration."""
+        stalled = len(missed) > PATIENCE and missed[-1] > (1.0 - self.least_gain) * missed[-1 - PATIENCE]
+        return stalled or missed[-1] <= self.tolerance_mm * np.sqrt(count)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Seen:
+    """A level and the points that see it.
+
+    Parameters
+    ----------
+    level : PotentialLevel
+    scale : (K,) float64
+        Of its coefficients.
+    whole : (w,) int64
+        Points that see 64 splines each ...
+    places : (w, 3) float64, mm
+        ... and where they are.
+    rows : (w, 16) int32
+        `potentials.runs_seen` of them.
+    others : (o,) int64
+        All other points: at a border of the lattice, or away from it.
+    """
+
+    level: PotentialLevel
+    scale: Float
+    whole: Int
+    places: Points
+    rows: NDArray[np.int32]
+    others: Int
+
+    @classmethod
+    def of(cls, level: PotentialLevel, at: Points, *, smoothness: float) -> _Seen:
+        squares = np.zeros(len(level.coefficients))
+        potentials.spread_squares(level.low, level.spacing_mm, level.numbers, at, squares)
+        most = float(np.quantile(squares, SEEN_SHARE)) if len(squares) else 1.0
+        scale = level.spacing_mm**smoothness / np.sqrt(squares / (most or 1.0) + FLOOR)
+        rows = np.zeros((len(at), 16), np.int32)
+        potentials.runs_seen(level.low, level.spacing_mm, level.numbers, at, rows)
+        whole, others = np.flatnonzero(rows[:, 0] >= 0), np.flatnonzero(rows[:, 0] < 0)
+        return cls(level, scale, whole, at[whole], rows[whole], others)
+
+    def add_curl(self, part: Float, at: Points, out: Points) -> None:
+        """Add the curl of (3, K) scaled coefficients, at all points."""
+        low, h, coefficients = self.level.low, self.level.spacing_mm, self.scale * part
+        values = np.zeros((len(self.whole), 3))
+        potentials.curl_sum_of_runs(low, h, self.rows, *coefficients, self.places, values)
+        out[self.whole] += values
+        if len(self.others):
+            values = np.zeros((len(self.others), 3))
+            held = np.ascontiguousarray(coefficients.T)
+            potentials.curl_sum(low, h, self.level.numbers, held, at[self.others], values)
+            out[self.others] += values
+
+    def spread(self, at: Points, values: Points) -> Float:
+        """(3, K) what the points' values give to the scaled coefficients."""
+        low, h, found = self.level.low, self.level.spacing_mm, np.zeros((3, len(self.scale)))
+        potentials.curl_spread_to_runs(low, h, self.rows, self.places, values[self.whole], *found)
+        if len(self.others):
+            out = np.zeros((len(self.scale), 3))
+            potentials.curl_spread(low, h, self.level.numbers, at[self.others], values[self.others], out)
+            found += out.T
+        spread: Float = self.scale * found
+        return spread
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Problem:
-    """The linear map from scaled coefficients to what is seen of the displacements, and its transpose."""
+    """The linear map from scaled coefficients, (3, K) a level, to what is seen of displacements; and its transpose."""
 
     at: Points
     normals: Points
-    levels: tuple[PotentialLevel, ...]
-    scales: list[Float]
+    levels: tuple[_Seen, ...]
 
     @classmethod
     def of(cls, at: Points, normals: Points, levels: tuple[PotentialLevel, ...], *, smoothness: float) -> _Problem:
-        at, scales = np.ascontiguousarray(at, dtype=np.float64), []
-        for level in levels:
-            squares = np.zeros(len(level.coefficients))
-            potentials.spread_squares(level.low, level.spacing_mm, level.numbers, at, squares)
-            whole = float(np.quantile(squares, SEEN_SHARE)) if len(squares) else 1.0
-            scales.append((level.spacing_mm**smoothness / np.sqrt(squares / (whole or 1.0) + FLOOR))[:, None])
-        return cls(at, normals, levels, scales)
+        at = np.ascontiguousarray(at, dtype=np.float64)
+        return cls(at, normals, tuple(_Seen.of(level, at, smoothness=smoothness) for level in levels))
 
     def seen(self, values: Points) -> Points:
         held = len(values) - len(self.normals)
@@ -127,19 +193,20 @@ class _Problem:
         return np.vstack([values[:held], along[:, None] * self.normals])
 
     def forward(self, parts: list[Float]) -> Points:
-        return self.seen(self.field(parts).displacement(self.at))
+        values = np.zeros_like(self.at)
+        for level, part in zip(self.levels, parts, strict=True):
+            level.add_curl(part, self.at, values)
+        return self.seen(values)
 
     def backward(self, values: Points) -> list[Float]:
-        parts = []
-        for level, scale in zip(self.levels, self.scales, strict=True):
-            out = np.zeros_like(level.coefficients)
-            potentials.curl_spread(level.low, level.spacing_mm, level.numbers, self.at, values, out)
-            parts.append(scale * out)
-        return parts
+        return [level.spread(self.at, values) for level in self.levels]
 
     def field(self, parts: list[Float]) -> SolenoidalField:
-        scaled = zip(self.levels, self.scales, parts, strict=True)
-        return SolenoidalField(tuple(replace(level, coefficients=scale * part) for level, scale, part in scaled))
+        scaled = (
+            (seen.level, np.ascontiguousarray((seen.scale * part).T))
+            for seen, part in zip(self.levels, parts, strict=True)
+        )
+        return SolenoidalField(tuple(replace(level, coefficients=held) for level, held in scaled))
 
 
 def _square(parts: list[Float]) -> float:

@@ -1,9 +1,9 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
-`fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export` and `init`. They and
-what they give back are stable, as are the other names of this module; what is in the rooms below may change with any
-version.
+`fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export` and `init`.
+They and what they give back are stable, as are the other names of this module; what is in the rooms below may change
+with any version.
 """
 
 from importlib import import_module as _import_module
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.cage import cage
     from musclefit.workflows.check import check
     from musclefit.workflows.export import export
+    from musclefit.workflows.fit_body import fit_body
     from musclefit.workflows.fit_joint import fit_joint
     from musclefit.workflows.init import init
     from musclefit.workflows.joint_range import joint_range
@@ -73,6 +74,7 @@ _HOMES = {
     "check": "workflows.check",
     "export": "workflows.export",
     "find_rig": "io.rigs",
+    "fit_body": "workflows.fit_body",
     "fit_joint": "workflows.fit_joint",
     "init": "workflows.init",
     "inspect": "pipeline.inspect",
@@ -125,6 +127,7 @@ __all__ = [
     "check",
     "export",
     "find_rig",
+    "fit_body",
     "fit_joint",
     "init",
     "inspect",

@@ -18,6 +18,7 @@ from musclefit._version import __version__
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
+from musclefit.cli.fit_body import fit_body
 from musclefit.cli.fit_joint import fit_joint
 from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
@@ -195,6 +196,7 @@ app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
 app.command(joint_range, name="joint-range", sort_key=7)
 app.command(repair, sort_key=3)
+app.command(fit_body, name="fit-body", sort_key=4)
 app.command(cage, sort_key=6)
 app.command(rigs, sort_key=8)
 app.command(init, sort_key=8)

@@ -20,6 +20,7 @@ COMMANDS = (
     "check",
     "repair",
     "cage",
+    "fit_body",
     "fit_joint",
     "joint_range",
     "label_surfaces",

@@ -49,6 +49,15 @@ class DistanceTree:
         distances: Float = np.sqrt(np.asarray(squared, dtype=np.float64)).reshape(-1)
         return distances
 
+    def places(self, points: Points) -> NearestPlaces:
+        """Nearest place on the surface for each of (N, 3) points, mm."""
+        squared, faces, places = self._tree.squared_distance(self._vertices, self._faces, np.ascontiguousarray(points))
+        return NearestPlaces(
+            np.sqrt(np.asarray(squared, dtype=np.float64)).reshape(-1),
+            np.asarray(places, dtype=np.float64).reshape(-1, 3),
+            np.asarray(faces, dtype=np.int64).reshape(-1),
+        )
+
 
 def nearest_places(points: Points, surface: TriMesh) -> NearestPlaces:
     """Nearest place on the surface for each of (N, 3) points, mm."""
@@ -65,7 +74,7 @@ def smooth_normals(surface: TriMesh, at: NearestPlaces) -> Points:
     corners = surface.faces[at.faces]
     by_vertex = np.asarray(igl.per_vertex_normals(np.array(surface.vertices), np.array(surface.faces)))
     a, b, c = (surface.vertices[corners[:, k]] for k in range(3))
-    weights = _barycentric(at.places, a, b, c)
+    weights = barycentric(at.places, a, b, c)
     normals = np.einsum("nk,nkj->nj", weights, by_vertex[corners])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     unit: Points = normals / np.where(lengths > 0.0, lengths, 1.0)
@@ -84,7 +93,8 @@ def thinned(points: Points, *, spacing_mm: float) -> Int:
     return np.array(chosen, dtype=np.int64)
 
 
-def _barycentric(points: Points, a: Points, b: Points, c: Points) -> Float:
+def barycentric(points: Points, a: Points, b: Points, c: Points) -> Float:
+    """(N, 3) shares of the corners a, b, c at (N, 3) places of triangles; thirds where a triangle has no area."""
     u, v, w = b - a, c - a, points - a
     uu, uv, vv = (np.einsum("ni,ni->n", p, q) for p, q in ((u, u), (u, v), (v, v)))
     wu, wv = (np.einsum("ni,ni->n", w, q) for q in (u, v))

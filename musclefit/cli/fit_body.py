@@ -1,0 +1,105 @@
+"""The command that fits a template's skin to a scan."""
+
+from __future__ import annotations
+
+import json as json_text
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from musclefit.errors import InputError
+from musclefit.workflows.progress import TimedStages
+
+PASSED, FAILED = 0, 1
+
+UNSURE = 1.3
+"""A second way to lie that fits less than so many times as badly is told."""
+
+
+def fit_body(
+    template: Annotated[Path, Parameter(help="The template's skin, closed: PLY, STL, OBJ, VTP.")],
+    scan: Annotated[Path, Parameter(help="A surface near it in pose, anywhere in space; holes are allowed.")],
+    out: Annotated[Path, Parameter(help="New or empty folder for cage, targets, rig, surfaces and report.")],
+    /,
+    *,
+    cage: Annotated[
+        Path | None, Parameter(name="--cage", help="Cage of the template; without it, one is made.")
+    ] = None,
+    vertices: Annotated[
+        int, Parameter(name="--vertices", help="How many vertices the cage has that is made.", show_default=True)
+    ] = 800,
+    anatomy: Annotated[
+        tuple[str, ...],
+        Parameter(name="--anatomy", help="Surfaces, or a pattern of them, that the rig names too. May be given again."),
+    ] = (),
+    units: Annotated[
+        Literal["mm", "cm", "m"], Parameter(name="--units", help="Length unit of the template.", show_default=True)
+    ] = "mm",
+    scan_units: Annotated[
+        Literal["mm", "cm", "m"], Parameter(name="--scan-units", help="Length unit of the scan.", show_default=True)
+    ] = "mm",
+    template_landmarks: Annotated[
+        Path | None, Parameter(name="--template-landmarks", help="Landmarks on the template, matched by name with")
+    ] = None,
+    scan_landmarks: Annotated[Path | None, Parameter(name="--scan-landmarks", help="landmarks on the scan.")] = None,
+    frame: Annotated[str, Parameter(name="--frame", help="The template's frame, for the rig.")] = "",
+    median_mm: Annotated[
+        float, Parameter(name="--median-mm", help="Limit of the median distance of the scan.", show_default=True)
+    ] = 2.0,
+    most_mm: Annotated[
+        float, Parameter(name="--most-mm", help="Limit that 95 % of the scan's area keeps.", show_default=True)
+    ] = 8.0,
+    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON.")] = False,
+) -> int:
+    """Fit a template's skin to a scan of any triangles, and write the targets of a cage that drives the anatomy there.
+
+    Exit code 1: the fit is written, and the scan is farther from the skin than the limits.
+    """
+    from musclefit.workflows.fit_body import fit_body as fit
+    from musclefit.workflows.fit_body import rig_of
+
+    if (template_landmarks is None) != (scan_landmarks is None):
+        raise InputError("landmarks come in two files: give both --template-landmarks and --scan-landmarks, or none")
+    pair = None if template_landmarks is None or scan_landmarks is None else (template_landmarks, scan_landmarks)
+    with TimedStages(shown=not quiet) as stages:
+        found = fit(
+            template,
+            scan,
+            out,
+            cage=cage,
+            vertices=vertices,
+            anatomy=anatomy,
+            units=units,
+            scan_units=scan_units,
+            landmarks=pair,
+            frame=frame,
+            median_mm=median_mm,
+            most_mm=most_mm,
+            progress=stages,
+        )
+    if json:
+        print(json_text.dumps(found.to_json(), indent=2))
+    elif not quiet:
+        for finding in found.findings:
+            print(finding.message, file=sys.stderr)
+        print(f"wrote {out}: {found.said()}")
+        print(f"the scan is {found.fit.size:.3g} times the template as a whole; cage of {len(found.fit.cage.vertices)}")
+        if found.fit.rival is not None and found.fit.rival < UNSURE:
+            print(
+                f"the scan could lie another way too (it fits {found.fit.rival:.2f} times as badly): look whether "
+                "front is front, or give three landmarks"
+            )
+        if found.fit.turned:
+            print("the scan was inside out and was turned")
+        if found.fit.crossings:
+            print(f"{found.fit.crossings} pairs of triangles of the target cage cross: look at {out}/cage_target.ply")
+        if not found.passed:
+            print(
+                f"FAILED: colour {out}/scan.vtp by distance_mm. Take away what is no body; give landmarks where limbs "
+                "are matched wrongly; give the cage more vertices where details are missed"
+            )
+        print(f"next: musclefit run {rig_of(out)}")
+    return PASSED if found.passed else FAILED

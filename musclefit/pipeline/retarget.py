@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -152,14 +153,18 @@ def settings_of(job: Job) -> Mapping[str, Any]:
     return {"rig": job.name, "overrides": list(job.overrides), **asdict(job.rig)}
 
 
-def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = None) -> Retargeting:
+TetsLater = Callable[[], TetAnatomy | None]
+"""Gives the tetrahedra once they are needed: they may be made while the map is."""
+
+
+def retarget(job: Job, *, tets: TetAnatomy | TetsLater | None, progress: Progress | None = None) -> Retargeting:
     """Run a job: deform by its method, by the paper's loop and in one shot, and check them all.
 
     Parameters
     ----------
     job : Job
-    tets : TetAnatomy or None
-        The anatomy's tetrahedra, or None to leave the mesh checks out.
+    tets : TetAnatomy, callable or None
+        The anatomy's tetrahedra, or what gives them once they are needed; None leaves the mesh checks out.
 
     Returns
     -------
@@ -178,19 +183,25 @@ def retarget(job: Job, *, tets: TetAnatomy | None, progress: Progress | None = N
     ranges, unknown = _joint_ranges(job, progress)
     solids = solid_anatomy(job.anatomy, progress=progress)
     made = deform_finely(job, progress=progress)
-    finish = _Finisher(job, solids, tets, job.rig.mesh, progress, progress, shared)
-    of_tets = () if tets is None else (*tets.findings, *rest_findings(tets, sliver_deg=job.rig.mesh.sliver_deg))
+    later = cache(tets if callable(tets) else partial(_given, tets))
+    finish = _Finisher(job, solids, later, job.rig.mesh, progress, progress, shared)
     kept = _kept_findings(made.deformed)
     result = finish(made, method=method_in_words(job), stage="check result")
+    filled = later()
+    of_tets = () if filled is None else (*filled.findings, *rest_findings(filled, sliver_deg=job.rig.mesh.sliver_deg))
     return Retargeting(
         job=job,
-        tets=tets,
+        tets=filled,
         result=result,
         baseline=_one_shot(finish),
         findings=(*job.findings, *_chosen(job), *unknown, *kept, *_touching(result.side.overlaps), *of_tets),
         joint_ranges=ranges,
         paper_loop=_papers_loop(finish),
     )
+
+
+def _given(tets: TetAnatomy | None) -> TetAnatomy | None:
+    return tets
 
 
 def _one_shot(finish: _Finisher) -> Outcome | None:
@@ -222,7 +233,7 @@ def outcome_of(job: Job, *, rest: SolidAnatomy, shared: Sequence[BoneOverlap] = 
     shared : sequence of BoneOverlap
         What bones share in the pose by their motions alone.
     """
-    finish = _Finisher(job, rest, None, job.rig.mesh, progress, progress, tuple(shared))
+    finish = _Finisher(job, rest, lambda: None, job.rig.mesh, progress, progress, tuple(shared))
     return finish(deform_finely(job, progress=progress), method=method_in_words(job), stage="check result")
 
 
@@ -232,7 +243,7 @@ class _Finisher:
 
     job: Job
     rest: SolidAnatomy
-    tets: TetAnatomy | None
+    tets: TetsLater
     mesh: MeshSettings
     progress: Progress
     proving: Progress
@@ -317,16 +328,17 @@ class _Finisher:
         Where bones are held, no edge is split: what is wrong there is that tissue slips along bone, however small the
         tets.
         """
-        if self.tets is None:
+        tets = self.tets()
+        if tets is None:
             return None
         deformation, mesh, held = deformed.deformation, self.mesh, _held_bones(self.job, deformed)
         if not mesh.refine or of_map.claim is Claim.REFUTED:
-            return moved_tets(self.tets, deformation)
+            return moved_tets(tets, deformation)
         if held:
-            moved = replace(moved_tets(self.tets, deformation), stopped="")
+            moved = replace(moved_tets(tets, deformation), stopped="")
         else:
             moved = carried_tets(
-                self.tets,
+                tets,
                 deformation,
                 max_rounds=mesh.max_rounds,
                 max_growth=mesh.max_growth,

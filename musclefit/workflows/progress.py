@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from copy import copy
 
 from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -62,6 +63,12 @@ class TimedStages:
         """Print a line above the bars, on standard error, unless told to be quiet."""
         if self._shown:
             self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def in_another_thread(self) -> TimedStages:
+        """The same, for stages beside those that are told to ``beside``, which knows only one after the other."""
+        apart = copy(self)
+        apart._beside = None
+        return apart
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Tick]:

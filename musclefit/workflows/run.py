@@ -29,6 +29,7 @@ from musclefit.progress import Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import AttachedPoints, Job
 from musclefit.rig.settings import TetSettings
+from musclefit.workflows.beside import Beside
 from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
@@ -165,11 +166,16 @@ def run(
         plan = planned_tets(job)
         if plan is not None:
             stages.say(plan.in_words)
-        prepared = prepared_tets(job, progress=stages)
-        for finding in prepared.findings if prepared is not None else ():
-            if finding.code == CACHE_FINDING:
-                stages.say(finding.message)
-        made = retarget(job, tets=prepared, progress=stages)
+
+        def fill(progress: Progress) -> TetAnatomy | None:
+            tets = prepared_tets(job, progress=progress)
+            for finding in tets.findings if tets is not None else ():
+                if finding.code == CACHE_FINDING:
+                    stages.say(finding.message)
+            return tets
+
+        with Beside(fill, progress=stages.in_another_thread()) as tets_beside:
+            made = retarget(job, tets=tets_beside, progress=tets_beside.while_well(stages))
         if out is None:
             known = measured(stages.seconds, provenance=made.report.provenance)
             return Run(made, replace(made.report, **known))

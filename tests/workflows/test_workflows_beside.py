@@ -1,0 +1,99 @@
+"""Work beside other work: both go on at once, faults of either end the other, progress is told in order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, current_thread
+
+import pytest
+
+import musclefit as mf
+import musclefit.workflows.run as under_test
+from musclefit.errors import MeshError
+from musclefit.progress import Progress, Silent, Tick
+from musclefit.workflows.beside import Beside
+from musclefit.workflows.progress import TimedStages
+
+SMALL = ("deformer.method=yu2014", "compare.methods=[]", "tets.enabled=true")
+
+
+def test_both_go_on_at_once_and_the_result_is_waited_for() -> None:
+    started = Event()
+
+    def work(_: Progress) -> str:
+        assert started.wait(10.0)
+        return current_thread().name
+
+    with Beside(work, progress=Silent()) as beside:
+        started.set()
+        assert beside() == beside() != current_thread().name
+
+
+def test_work_that_nobody_waits_for_is_given_up() -> None:
+    given_up = Event()
+
+    def work(progress: Progress) -> None:
+        try:
+            with progress.stage("endless") as tick:
+                while True:
+                    tick(0.5)
+                    time.sleep(0.01)
+        finally:
+            given_up.set()
+
+    with pytest.raises(KeyboardInterrupt), Beside(work, progress=Silent()):
+        raise KeyboardInterrupt
+    assert given_up.is_set()
+
+
+def test_what_the_work_raised_is_raised_at_the_next_stage_and_at_the_end() -> None:
+    def work(_: Progress) -> None:
+        raise MeshError("no mesh")
+
+    with Beside(work, progress=Silent()) as beside:
+        with pytest.raises(MeshError, match="no mesh"):
+            beside()
+        with pytest.raises(MeshError, match="no mesh"), beside.while_well(Silent()).stage("next"):
+            pytest.fail("the stage began")
+
+
+def test_a_mesh_that_fails_ends_a_run_and_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object, **__: object) -> None:
+        raise MeshError("the tetrahedraliser failed")
+
+    monkeypatch.setattr(under_test, "prepared_tets", failing)
+    with pytest.raises(MeshError, match="the tetrahedraliser failed"):
+        mf.run("upper_limb", out=tmp_path / "run", overrides=SMALL, pictures=False, progress=Silent())
+    assert not (tmp_path / "run").exists()
+
+
+class InOrder:
+    """Progress that takes stages one after the other or nested, from one thread."""
+
+    def __init__(self) -> None:
+        self.open: list[str] = []
+        self.thread = current_thread()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Tick]:
+        assert current_thread() is self.thread
+        self.open.append(name)
+        yield lambda _: None
+        assert self.open.pop() == name
+
+
+def test_who_is_told_of_stages_is_told_of_one_after_the_other() -> None:
+    with TimedStages(shown=False, beside=InOrder()) as stages:
+        within = Event()
+
+        def work(progress: Progress) -> None:
+            with progress.stage("beside"):
+                assert within.wait(10.0)
+
+        with Beside(work, progress=stages.in_another_thread()) as beside, stages.stage("other"):
+            within.set()
+            beside()
+    assert set(stages.seconds) == {"beside", "other"}

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
+
+from musclefit.cli.options import JsonOption, print_json
 
 PASSED = 0
 
@@ -23,6 +26,7 @@ def cage(
         Literal["mm", "cm", "m"], Parameter(name="--units", help="Length unit of the skin's file.", show_default=True)
     ] = "mm",
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
 ) -> int:
     """Make a cage that follows a skin: even triangles, none of which cross. Move its vertices, and it drives a body."""
     from musclefit.workflows.cage import cage as make
@@ -31,5 +35,8 @@ def cage(
     if not quiet:
         for finding in made.findings:
             print(finding.message, file=sys.stderr)
+    if json:
+        print_json({"cage": str(out), **made.measures(), "findings": [asdict(finding) for finding in made.findings]})
+    elif not quiet:
         print(f"wrote {out}: {made.said()}")
     return PASSED

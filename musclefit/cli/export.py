@@ -7,6 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, print_json
 from musclefit.io.run_tets import Shape
 
 PASSED = 0
@@ -23,14 +24,18 @@ def export(
         Shape, Parameter(name="--shape", help="Positions after the deformation or before it.", show_default=True)
     ] = Shape.DEFORMED,
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
 ) -> int:
     """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm."""
     from musclefit.io.formats.solvers import PLACEHOLDER
     from musclefit.workflows.export import export as write
 
     tets = write(run, out, shape=shape)
-    if not quiet:
-        sets = tets.sets
+    sets = tets.sets
+    if json:
+        told = {"file": str(out), "nodes": len(tets.vertices), "tetrahedra": len(tets.tets)}
+        print_json({**told, "sets": {label: len(own) for label, own in sets.items()}})
+    elif not quiet:
         print(f"wrote {out}: {len(tets.vertices)} nodes, {len(tets.tets)} tetrahedra in {len(sets)} sets, mm")
         for label, own in sets.items():
             print(f"  {label}: {len(own)}")

@@ -7,20 +7,27 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, print_json
+
 PASSED = 0
 
 
-def rigs() -> int:
+def rigs(*, json: JsonOption = False) -> int:
     """List the rigs that come with musclefit: name, title, and what they need."""
     import tomllib
 
     from musclefit.io.named_files import DATA_VARIABLE
     from musclefit.io.rig_names import builtin_rig_path, builtin_rigs
 
-    for name in builtin_rigs():
-        text = builtin_rig_path(name).read_text(encoding="utf-8")
+    texts = {name: builtin_rig_path(name).read_text(encoding="utf-8") for name in builtin_rigs()}
+    titles = {name: tomllib.loads(text)["title"] for name, text in texts.items()}
+    if json:
+        told = [{"name": name, "title": titles[name], "needs_data": DATA_VARIABLE in texts[name]} for name in texts]
+        print_json({"rigs": told})
+        return PASSED
+    for name, text in texts.items():
         needs = f"  (needs {DATA_VARIABLE})" if DATA_VARIABLE in text else ""
-        print(f"{name:<16} {tomllib.loads(text)['title']}{needs}")
+        print(f"{name:<16} {titles[name]}{needs}")
     return PASSED
 
 

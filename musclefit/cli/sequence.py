@@ -52,7 +52,10 @@ def sequence(
     no_between: Annotated[
         bool, Parameter(name="--no-between", negative="", help="Do not examine what passes between frames.")
     ] = False,
-    no_film: Annotated[bool, Parameter(name="--no-film", negative="", help="Make no film and no pictures.")] = False,
+    no_pictures: Annotated[
+        bool,
+        Parameter(name=("--no-pictures", "--no-film"), negative="", help="Make no film and no pictures."),
+    ] = False,
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print report.json, not a summary.")] = False,
 ) -> int:
@@ -70,7 +73,7 @@ def sequence(
             workers=workers or _processors(),
             overrides=set,
             between=not no_between,
-            film=not no_film,
+            pictures=not no_pictures,
             progress=stages,
         ).report
     if json:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, print_json
 from musclefit.geometry.images.grids import Frame, Interpolation
 from musclefit.workflows.progress import TimedStages
 
@@ -43,6 +44,7 @@ def warp_image(
         tuple[str, ...], Parameter(name="--set", help="key=value, as in the rig file; may be given again.")
     ] = (),
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
 ) -> int:
     """Take an image of the body along with a rig's deformation, through its exact inverse."""
     from musclefit.workflows.warp_image import warp_image as warp
@@ -67,6 +69,10 @@ def warp_image(
             "there, outside the body; they hold the value for outside",
             file=sys.stderr,
         )
-    if not quiet:
+    if json:
+        files = {"image": out, "displacements": displacements, "jacobian": jacobian}
+        named = {name: None if path is None else str(path) for name, path in files.items()}
+        print_json({**named, "voxels": warped.values.size, "unsolved": warped.unsolved})
+    elif not quiet:
         print("wrote " + ", ".join(str(path) for path in (out, displacements, jacobian) if path is not None))
     return PASSED

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,17 +36,37 @@ class Cage(Shown):
     skin: TriMesh
     findings: tuple[Finding, ...]
 
-    def said(self) -> str:
-        """Size, edges and distance from the skin, in a line."""
+    def measures(self) -> dict[str, float]:
+        """Numbers of vertices and triangles; edges, distances from the skin and volumes with their units."""
         a, b = edges_of(self.mesh.faces).ends.T
         lengths = np.linalg.norm(self.mesh.vertices[a] - self.mesh.vertices[b], axis=1)
         short, middle, long = np.percentile(lengths, [5, 50, 95])
         off = nearest_places(self.skin.vertices, self.mesh).distances
+        return {
+            "vertices": len(self.mesh.vertices),
+            "triangles": len(self.mesh.faces),
+            "edge_median_mm": float(middle),
+            "edge_5_percent_mm": float(short),
+            "edge_95_percent_mm": float(long),
+            "skin_off_mean_mm": float(off.mean()),
+            "skin_off_max_mm": float(off.max()),
+            "volume_mm3": enclosed_volume(self.mesh),
+            "skin_volume_mm3": enclosed_volume(self.skin),
+        }
+
+    def tables(self) -> Mapping[str, Iterable[Any]]:
+        """The measures."""
+        return {"measures": [self.measures()]}
+
+    def said(self) -> str:
+        """Size, edges and distance from the skin, in a line."""
+        found = self.measures()
         return (
-            f"{len(self.mesh.vertices)} vertices, {len(self.mesh.faces)} triangles, closed, none cross; edges "
-            f"{middle:.3g} mm (5 to 95 %: {short:.3g} to {long:.3g}); the skin is {off.mean():.2g} mm from it on "
-            f"average, {off.max():.3g} mm at most; volume {enclosed_volume(self.mesh):.6g} mm³, the skin's "
-            f"{enclosed_volume(self.skin):.6g}"
+            f"{found['vertices']} vertices, {found['triangles']} triangles, closed, none cross; edges "
+            f"{found['edge_median_mm']:.3g} mm (5 to 95 %: {found['edge_5_percent_mm']:.3g} to "
+            f"{found['edge_95_percent_mm']:.3g}); the skin is {found['skin_off_mean_mm']:.2g} mm from it on "
+            f"average, {found['skin_off_max_mm']:.3g} mm at most; volume {found['volume_mm3']:.6g} mm³, the skin's "
+            f"{found['skin_volume_mm3']:.6g}"
         )
 
 

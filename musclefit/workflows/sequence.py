@@ -162,7 +162,7 @@ def sequence(
     workers: int = 0,
     overrides: Sequence[str] = (),
     between: bool = True,
-    film: bool = True,
+    pictures: bool = True,
     progress: Progress | None = None,
 ) -> FollowedMotion:
     """Follow a motion: every frame from rest, checked; muscle measures, series, film and report.
@@ -186,7 +186,7 @@ def sequence(
         ``key=value`` each.
     between : bool
         Whether to examine what passes between frames.
-    film : bool
+    pictures : bool
         Whether to draw the frames.
     progress : Progress, optional
 
@@ -202,7 +202,7 @@ def sequence(
         job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
         plan = planned(job, motion=motion, frames=frames, interpolation=by)
         report = run_sequence(plan, out, workers=workers, between=between, progress=stages)
-        write_outputs(plan, Path(out), report, film=film, progress=stages)
+        write_outputs(plan, Path(out), report, pictures=pictures, progress=stages)
     return FollowedMotion(plan, report, Path(out))
 
 

@@ -27,7 +27,7 @@ FILM_FRAME_S = 0.08
 
 
 def write_outputs(
-    plan: SequencePlan, folder: Path, report: SequenceReport, *, film: bool = True, progress: Progress | None = None
+    plan: SequencePlan, folder: Path, report: SequenceReport, *, pictures: bool = True, progress: Progress | None = None
 ) -> tuple[Path, ...]:
     """Write page, film (MP4 where that can be made, else GIF) and animated model of a sequence into its folder.
 
@@ -38,7 +38,7 @@ def write_outputs(
         Of `run_sequence`.
     report : SequenceReport
         Of `run_sequence`.
-    film : bool
+    pictures : bool
         Whether to draw the frames: about a second each.
 
     Returns
@@ -48,11 +48,11 @@ def write_outputs(
     progress = progress or Silent()
     kept = [(f.summary, f.anatomy()) for f in read_frames(plan.job, folder) if f.summary.outcome == "made"]
     written: list[Path] = []
-    pictures: dict[str, tuple[str, bytes]] = {}
+    embedded: dict[str, tuple[str, bytes]] = {}
     problems = "" if kept else "No frame was made."
     if kept:
         written.append(_write_model(folder, kept, progress))
-    if kept and film:
+    if kept and pictures:
         problems = rendering_problem()
         if not problems:
             drawn = _draw(kept, progress)
@@ -64,11 +64,11 @@ def write_outputs(
                 written.append(write_bytes_atomically(folder / FILM_MP4, mp4(drawn, seconds_each=seconds_each)))
             slower = seconds_each / _step_s(kept)
             said = "" if slower < 1.05 else f", {slower:.3g} times slower than it is"
-            pictures[f"The motion{said}"] = ("image/gif", data)
+            embedded[f"The motion{said}"] = ("image/gif", data)
             sheet = [drawn[k] for k in _even(len(drawn), SHEET_FRAMES)]
             columns = min(len(sheet), 6)
-            pictures["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
-    page = render_sequence(report, pictures=pictures, problems=problems)
+            embedded["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
+    page = render_sequence(report, pictures=embedded, problems=problems)
     write_atomically(folder / PAGE, page)
     return (folder / PAGE, *written)
 

@@ -40,7 +40,7 @@ def test_two_workers_by_one(tmp_path):
     cache = tmp_path / "cache"
 
     def follow(workers: int, frames: int, name: str) -> float:
-        options = ("--frames", str(frames), "--workers", str(workers), "--no-film", "--quiet")
+        options = ("--frames", str(frames), "--workers", str(workers), "--no-pictures", "--quiet")
         return seconds("sequence", "upper_limb", str(MOTION), *options, "--out", str(tmp_path / name), cache=cache)
 
     follow(2, 2, "warm")  # compiles

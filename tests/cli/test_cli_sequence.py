@@ -70,7 +70,7 @@ def test_transforms_are_their_own_motion(rig: Path, tmp_path: Path, capsys: pyte
     turned = "bone_proximal,0.4,1,0,0,0,0,0,0\nbone_distal,0.4,0.9961947,0,0,0.0871557,0,0,0\n"
     text = f"bone,time_s,qw,qx,qy,qz,x_mm,y_mm,z_mm\n{still}{turned}"
     rig.with_name("moved.csv").write_text(text, encoding="utf-8")
-    out, more = tmp_path / "out", ("--set", "certificate.enabled=false", "--no-film")
+    out, more = tmp_path / "out", ("--set", "certificate.enabled=false", "--no-pictures")
     assert main(["sequence", str(rig), "-o", str(out), "--workers", "1", *more]) == 0
     said = capsys.readouterr().out
     assert "transforms of 2 bones at 2 times, between them each bone on the screw" in said

@@ -1,4 +1,7 @@
-"""The commands: each calls one workflow and prints what it gives; exit code 0 passed, 1 a limit failed, 2 bad input."""
+"""The commands: each calls one workflow and prints what it gives; exit code 0 passed, 1 a limit failed, 2 bad input.
+
+What else goes wrong ends as exit code 3, in `musclefit.cli.unforeseen`.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ from musclefit.workflows.progress import TimedStages
 
 # The commands import what reads and computes when they need it, so that mistakes are told at once.
 
-PASSED, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+PASSED, FAILED, BAD_INPUT, PIPE_CLOSED = 0, 1, 2, 141
 
 DEMO_RIG = "upper_limb"
 
@@ -44,7 +47,8 @@ app = App(
     name="musclefit",
     help="Foldover-free retargeting of layered musculoskeletal models, with a report that proves it.",
     version=__version__,
-    help_epilogue="Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written.",
+    help_epilogue="Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written; "
+    "3: an error that was not foreseen, a log file is written; 130: interrupted.",
     default_parameter=Parameter(negative=(), show_default=False),
     usage="Usage: musclefit COMMAND [OPTIONS]",
     suppress_keyboard_interrupt=False,
@@ -233,9 +237,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         return _refuse(f"{error.strerror or error}{where}; check the path, its permissions and the free space")
-    except KeyboardInterrupt:
-        print("musclefit: interrupted; nothing was left half-written", file=sys.stderr)
-        return INTERRUPTED
     return result if isinstance(result, int) else PASSED
 
 

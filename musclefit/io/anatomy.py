@@ -18,7 +18,9 @@ from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, frozen
 from musclefit.geometry.meshes import TriMesh
 from musclefit.io.formats.ply import read_ply
-from musclefit.io.formats.surfaces import Polygons, read_obj, read_stl, read_vtp
+from musclefit.io.formats.surfaces import Polygons, read_obj, read_stl
+from musclefit.io.formats.texts import in_mm, read_bytes
+from musclefit.io.formats.vtk_xml import read_vtp
 from musclefit.progress import Progress, Silent
 from musclefit.vocabulary import Unit
 
@@ -99,10 +101,7 @@ def read_surface(path: Path, *, units: Unit = Unit.MILLIMETRE) -> RawSurface:
         raise InputError(
             f"{path}: surfaces are read from {_ENDINGS} files, not {path.suffix or 'files without ending'}"
         )
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); correct the path or its permissions") from error
+    data = read_bytes(path)
     if not data.strip():
         raise MeshError(f"{path}: an empty file; export the surface again")
     polygons = reader(data, str(path))
@@ -110,7 +109,7 @@ def read_surface(path: Path, *, units: Unit = Unit.MILLIMETRE) -> RawSurface:
     if polygons.cut:
         said = f"{path.stem}: {polygons.cut} faces with more than three corners were cut into triangles"
         findings.append(Finding(path.stem, "cut-polygons", said))
-    vertices = frozen(polygons.vertices * units.in_mm)
+    vertices = frozen(in_mm(polygons.vertices, units, source=str(path), error=MeshError))
     return RawSurface(path, vertices, frozen(polygons.faces, int), sha256(data).hexdigest(), tuple(findings))
 
 

@@ -12,6 +12,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
 from musclefit.io.anatomy import ReadAnatomy
 from musclefit.io.formats.nifti import read_volume
+from musclefit.io.formats.texts import read_text
 from musclefit.progress import Progress
 
 COLUMNS = ("value", "name", "kind")
@@ -25,13 +26,11 @@ def read_label_names(path: Path) -> tuple[LabelName, ...]:
     InputError
         No such file, a column that is missing, a value that is no whole number, or a kind that is not known.
     """
+    text = read_text(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot be read as a table of labels ({error}); correct the path or the file"
-        ) from None
-    rows = list(csv.DictReader(StringIO(text)))
+        rows = list(csv.DictReader(StringIO(text), strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read as a table of labels ({error}); correct the file") from None
     missing = [column for column in COLUMNS if not rows or column not in rows[0]]
     if missing:
         raise InputError(

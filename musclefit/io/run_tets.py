@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 
 from musclefit.errors import InputError
+from musclefit.geometry.arrays import Points
 from musclefit.io.formats.solvers import LabelledTets
+from musclefit.io.formats.tables import parse_json
+from musclefit.io.formats.texts import read_bytes
+from musclefit.io.formats.vtk_xml import VtkFile
+
+_TETRAHEDRON = 10
+"""VTK's number of this type of cell."""
+
+_SOLID = 3
+"""Dimension of a tissue made of tetrahedra, as `musclefit.io.run_folder` writes it beside its number."""
 
 
 class Shape(StrEnum):
@@ -27,8 +36,6 @@ def read_run_tets(folder: Path, *, shape: Shape) -> LabelledTets:
     InputError
         The folder holds no run, or one without tetrahedra, or the file is not as a run writes it.
     """
-    import pyvista as pv
-
     from musclefit.io.run_folder import REPORT_JSON, TETS
 
     report, grid_file = folder / REPORT_JSON, folder / TETS
@@ -36,27 +43,39 @@ def read_run_tets(folder: Path, *, shape: Shape) -> LabelledTets:
         raise InputError(f"{folder} holds no {REPORT_JSON} of a run; name the folder that a run wrote")
     if not grid_file.is_file():
         raise InputError(f"{folder} holds no {TETS}: the run made no tetrahedra; run it with tets.enabled = true")
-    title = str(json.loads(report.read_text(encoding="utf-8")).get("title", ""))
-    grid = pv.read(grid_file)
-    if not isinstance(grid, pv.UnstructuredGrid) or "tissue" not in grid.cell_data:
+    grid = VtkFile(read_bytes(grid_file), str(grid_file), kind="UnstructuredGrid")
+    cells, tissues = grid.cells("Cells", count="NumberOfCells"), grid.cell_data("tissue")
+    if tissues is None or not len(tissues):
         raise InputError(f"{grid_file} has no tissues at its cells; run the rig again")
-    tissue = np.asarray(grid.cell_data["tissue"], dtype=np.int64)
-    names = {int(values[0]): _unescaped(key) for key, values in grid.field_data.items() if len(values) == 2}
+    if (grid.cell_types() != _TETRAHEDRON).any() or (cells.sizes != 4).any():
+        raise InputError(f"{grid_file} has cells that are no tetrahedra; run the rig again")
+    tissue = tissues.astype(np.int64)
+    names = {int(v[0]): _unescaped(key) for key, v in grid.field_numbers().items() if len(v) == 2 and v[1] == _SOLID}
     missing = sorted(set(np.unique(tissue).tolist()) - set(names))
     if missing:
         raise InputError(f"{grid_file} names no tissue of number {missing[0]}; run the rig again")
-    key = "rest_position_mm"
-    if shape is Shape.REST and key not in grid.point_data:
+    points: Points | None = grid.points()
+    if shape is Shape.REST:
+        points = grid.point_data("rest_position_mm", components=3)
+    if points is None:
         raise InputError(f"{grid_file} holds no positions at rest; run the rig again, or export the deformed shape")
-    points = grid.point_data[key] if shape is Shape.REST else grid.points
     return LabelledTets(
-        title=f"{title} ({shape.value})",
+        title=f"{_title(report)} ({shape.value})",
         vertices=np.asarray(points, dtype=np.float64),
-        tets=np.asarray(grid.cells_dict[pv.CellType.TETRA], dtype=np.int64),
+        tets=cells.corners.reshape(-1, 4),
         tissue_of_tet=tissue,
-        names=tuple(names.get(number, "") for number in range(max(names) + 1)),
+        names=tuple(names.get(number, "") for number in range(int(tissue.max()) + 1)),
     )
 
 
+def _title(report: Path) -> str:
+    """The title in a report; InputError where it is not as a run writes it."""
+    table = parse_json(read_bytes(report), source=str(report))
+    return str(table.get("title", ""))
+
+
 def _unescaped(text: str) -> str:
-    return text.encode("ascii").decode("unicode_escape")
+    try:
+        return text.encode("ascii").decode("unicode_escape")
+    except UnicodeError:
+        return text

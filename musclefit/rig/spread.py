@@ -47,6 +47,10 @@ def spread_over(vertices: Points, count: int) -> Int:
         raise LandmarkError(f"found a count of {count} landmarks to spread; expected at least 1")
     if not len(vertices):
         raise LandmarkError(f"no vertices to spread {count} landmarks over; give a surface that is not empty")
+    if count > len(vertices):
+        raise LandmarkError(
+            f"{count} landmarks do not fit on a surface with {len(vertices)} vertices; ask for at most that many"
+        )
     chosen = np.empty(count, dtype=np.int64)
     chosen[0] = np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1))
     nearest = np.linalg.norm(vertices - vertices[chosen[0]], axis=1)

@@ -107,7 +107,8 @@ def test_units_and_points_left_out(tmp_path):
     [
         ("drive.shape=[8, 5]", "expected 3 numbers"),
         ("drive.shape=[8, 5.0, 5]", "expected a list of whole numbers"),
-        ("drive.shape=[1, 5, 5]", "line 2 moves control point"),
+        ("drive.shape=[1, 5, 5]", "expected at least 2 control points along every axis"),
+        ("drive.shape=[99999, 99999, 99999]", "at most 1000000 together"),
         ("drive.high_mm=[-80, 40, 40]", r"drive: drive.high_mm: found \[-80.0, 40.0, 40.0\]"),
         ("deformer.step=cayley", "control points' own loop"),
         ("deformer.kernel=r3", 'has no effect on backend "lattice"'),

@@ -285,9 +285,9 @@ def test_further_ply_elements_and_properties_are_read_past(write):
         (
             "a.vtp",
             FORMATS["ascii.vtp"].replace(b'Points="42"', b'Points="43"'),
-            "states 43 points and 80 polygons, but VTK reads",
+            "states 43 points, but holds 126 coordinates of points",
         ),
-        ("a.vtp", FORMATS["ascii.vtp"].replace(b"</Points>", b"</Dots>"), "VTK reads 0 points and 0 polygons"),
+        ("a.vtp", FORMATS["ascii.vtp"].replace(b"</Points>", b"</Dots>"), r"is no XML \(mismatched tag: line 7"),
     ],
 )
 def test_damage_is_named(name, data, message, write, capfd):

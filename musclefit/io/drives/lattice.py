@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import prod
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,6 +15,9 @@ from musclefit.io.formats.control_points import read_displacements
 from musclefit.rig.drive import Drive, Files, register_drive
 from musclefit.rig.lattice import ControlLattice
 from musclefit.vocabulary import PathKind, Unit
+
+MOST_CONTROL_POINTS = 1_000_000
+"""Of a lattice; at 100 along each axis."""
 
 
 @register_drive
@@ -44,6 +48,11 @@ class LatticeDrive(Drive):
         for key in ("low_mm", "high_mm", "shape"):
             if len(getattr(self, key)) != 3:
                 raise RigError(f"drive.{key}: found {list(getattr(self, key))}; expected 3 numbers, for x, y and z")
+        if min(self.shape) < 2 or prod(self.shape) > MOST_CONTROL_POINTS:
+            raise RigError(
+                f"drive.shape: found {list(self.shape)}; expected at least 2 control points along every axis, and at "
+                f"most {MOST_CONTROL_POINTS} together"
+            )
 
     def resolved(self, files: Files) -> LatticeDrive:
         """With absolute paths."""

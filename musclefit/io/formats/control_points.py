@@ -9,6 +9,7 @@ import numpy as np
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Points
 from musclefit.io.formats.rows import Rows, csv_lines
+from musclefit.io.formats.texts import in_mm, read_text
 from musclefit.vocabulary import Unit
 
 INDICES = ("i", "j", "k")
@@ -32,14 +33,14 @@ def read_displacements(path: Path, *, shape: tuple[int, int, int], units: Unit) 
         Columns that are missing, values that are no numbers, a control point that the lattice does not have, or that
         is moved twice; the message names the line.
     """
-    text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path, error=LandmarkError)
     lines = csv_lines(text, path, delimiter=max(",;\t", key=(text.lstrip().splitlines() or [""])[0].count))
     if len(lines) < 2:
         raise LandmarkError(f"{path}: moves no control point; give a heading and a line for each that moves")
     table = Rows(path, tuple(cell.strip().lower() for cell in lines[0][1]), tuple(lines[1:]))
     table.check_widths()
-    in_mm = "dx_mm" in table.headings
-    found = table.numbers([*INDICES, *(f"{axis}_mm" if in_mm else axis for axis in ("dx", "dy", "dz"))])
+    stated = "dx_mm" in table.headings
+    found = table.numbers([*INDICES, *(f"{axis}_mm" if stated else axis for axis in ("dx", "dy", "dz"))])
     out, seen = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool)
     for (line, _), row in zip(table.rows, found, strict=True):
         index = tuple(int(x) for x in row[:3])
@@ -52,5 +53,6 @@ def read_displacements(path: Path, *, shape: tuple[int, int, int], units: Unit) 
             )
         if seen[index]:
             raise LandmarkError(f"{path}: line {line} moves control point {list(index)} again; remove one of the lines")
-        seen[index], out[index] = True, row[3:] * (1.0 if in_mm else units.in_mm)
-    return out.reshape(-1, 3)
+        seen[index], out[index] = True, row[3:]
+    unit = Unit.MILLIMETRE if stated else units
+    return in_mm(out.reshape(-1, 3), unit, source=str(path), error=LandmarkError)

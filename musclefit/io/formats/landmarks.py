@@ -15,6 +15,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.errors import InputError, LandmarkError
 from musclefit.geometry.arrays import Points, frozen
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
+from musclefit.io.formats.texts import in_mm, read_text
 from musclefit.io.formats.trc import read_trajectories
 from musclefit.vocabulary import Unit
 
@@ -118,12 +119,7 @@ def read_landmarks(
     name = path.name.lower()
     if not name.endswith((".csv", ".fcsv", ".mrk.json", ".trc")):
         raise InputError(f"{path}: landmarks are read from {_ENDINGS} files; correct the path or rename the file")
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); correct the path or its permissions") from error
-    except UnicodeDecodeError as error:
-        raise LandmarkError(f"{path}: not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from error
+    text = read_text(path, error=LandmarkError)
     if not text.strip():
         raise LandmarkError(f"{path}: an empty file; export the landmarks again")
     if name.endswith(".mrk.json"):
@@ -253,7 +249,7 @@ def _from_fcsv(text: str, path: Path, *, units: Unit) -> LandmarkTable:
     rows.check_widths()
     return LandmarkTable(
         names=rows.texts("label"),
-        positions=rows.numbers(("x", "y", "z")) * units.in_mm,
+        positions=in_mm(rows.numbers(("x", "y", "z")), units, source=str(path), error=LandmarkError),
         bones=("",) * len(rows.rows),
         targets=None,
         coordinate_system=system,
@@ -268,6 +264,10 @@ def _from_markups(text: str, path: Path, *, units: Unit) -> LandmarkTable:
         raise LandmarkError(
             f"{path}: broken JSON at line {error.lineno}, column {error.colno} ({error.msg}); export it again"
         ) from error
+    except RecursionError:
+        raise LandmarkError(f"{path}: is nested too deeply to be read; export it again") from None
+    except ValueError as error:  # a number with more digits than Python converts
+        raise LandmarkError(f"{path}: cannot be read: {error}; export it again") from None
     markups = read.get("markups") if isinstance(read, dict) else None
     if not isinstance(markups, list) or not all(isinstance(markup, dict) for markup in markups):
         raise LandmarkError(f"{path}: no Slicer markups file: it has no list 'markups'; save a point list from Slicer")
@@ -283,7 +283,12 @@ def _from_markups(text: str, path: Path, *, units: Unit) -> LandmarkTable:
     found = [_control_point(point, number, path) for number, point in enumerate(points, start=1)]
     return LandmarkTable(
         names=tuple(name for name, _ in found),
-        positions=np.reshape([position for _, position in found], (-1, 3)) * _markup_unit(markup, path, units).in_mm,
+        positions=in_mm(
+            np.reshape([position for _, position in found], (-1, 3)),
+            _markup_unit(markup, path, units),
+            source=str(path),
+            error=LandmarkError,
+        ),
         bones=("",) * len(found),
         targets=None,
         coordinate_system=system,
@@ -330,4 +335,7 @@ def _control_point(point: object, number: int, path: Path) -> tuple[str, list[fl
     numbers = position if isinstance(position, list) else []
     if len(numbers) != 3 or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
         raise LandmarkError(f"{path}: landmark {name!r} has the position {position!r}, not 3 numbers; place it")
-    return name.strip(), [float(v) for v in numbers]
+    try:
+        return name.strip(), [float(v) for v in numbers]
+    except OverflowError:
+        raise LandmarkError(f"{path}: landmark {name!r} is farther away than a number can say; place it") from None

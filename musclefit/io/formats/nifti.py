@@ -7,6 +7,7 @@ Displacement fields are written as those programs read them: five axes (x, y, z,
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +20,12 @@ from numpy.typing import NDArray
 
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame, Grid, in_frame
+from musclefit.io.formats.texts import read_bytes
 
 _ENDINGS = (".nii", ".nii.gz")
+_UNITS_MM = {"mm": 1.0, "unknown": 1.0, "meter": 1000.0, "micron": 0.001}
+_MOST_SWOLLEN = 1100
+"""How many times larger than a compressed file its content may be; gzip reaches 1032."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,15 +54,19 @@ def read_volume(path: Path) -> Volume:
     """
     nibabel = _nibabel()
     _require_ending(path)
+    stored = read_bytes(path)
     try:
         image = nibabel.load(path)
+        _require_data(image, len(stored), path)
         unscaled = (image.dataobj.slope, image.dataobj.inter) == (1.0, 0.0)
         whole = np.issubdtype(image.get_data_dtype(), np.integer) and unscaled
         data = np.asanyarray(image.dataobj) if whole else image.get_fdata(dtype=np.float32, caching="unchanged")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such image; correct the path") from None
-    except (OSError, EOFError, ValueError, nibabel.filebasedimages.ImageFileError) as error:
-        raise InputError(f"{path}: cannot be read as NIfTI ({error}); export it again") from None
+        unit = image.header.get_xyzt_units()[0]
+    except (InputError, KeyboardInterrupt):
+        raise
+    except Exception as error:  # nibabel raises zlib's, mmap's, its own and those of dictionaries
+        said = f"{type(error).__name__}: {error}"[:200]
+        raise InputError(f"{path}: cannot be read as NIfTI ({said}); export it again") from None
     if data.ndim > 3 and data.shape[3:] == (1,) * (data.ndim - 3):
         data = data.reshape(data.shape[:3])
     if data.ndim != 3:
@@ -68,11 +77,24 @@ def read_volume(path: Path) -> Volume:
             f"{path}: its header states no orientation (qform and sform codes are 0), so where its voxels are is "
             "unknown; set one with the program it comes from"
         )
-    unit = header.get_xyzt_units()[0]
-    scale = {"mm": 1.0, "unknown": 1.0, "meter": 1000.0, "micron": 0.001}[unit]
+    if unit not in _UNITS_MM:
+        raise InputError(f"{path}: its voxels are measured in {unit!r}; known are {', '.join(_UNITS_MM)}")
+    scale = _UNITS_MM[unit]
     affine = np.diag([scale, scale, scale, 1.0]) @ image.affine
     shape = (int(data.shape[0]), int(data.shape[1]), int(data.shape[2]))
-    return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha256(path.read_bytes()).hexdigest())
+    return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha256(stored).hexdigest())
+
+
+def _require_data(image: Any, n_bytes: int, path: Path) -> None:
+    """Raise InputError where a file is too short for the voxels that its header states, before any are asked for."""
+    voxels = math.prod(int(n) for n in image.dataobj.shape)
+    needed = voxels * image.get_data_dtype().itemsize
+    most = n_bytes * (_MOST_SWOLLEN if path.name.lower().endswith(".gz") else 1)
+    if min(image.dataobj.shape, default=0) < 1 or needed > most:
+        raise InputError(
+            f"{path}: its header states an image of shape {tuple(image.dataobj.shape)}, which takes {needed} bytes; "
+            f"the file holds at most {most}: it is cut short, export it again"
+        )
 
 
 def check_images_writable(paths: Sequence[Path], *, given: Sequence[Path]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Float, Int
-from musclefit.io.formats.surfaces import WAY_OUT, Polygons, cut_into_fans
+from musclefit.io.formats.surfaces import WAY_OUT, Polygons, polygons_cut
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -74,8 +74,17 @@ def read_ply(data: bytes, source: str) -> Polygons:
     reader.finish()
     vertices = np.stack([columns["vertex"][axis].values.astype(np.float64) for axis in "xyz"], axis=1)
     corners = next(columns["face"][name] for name in _CORNER_LISTS if name in columns["face"])
-    faces, cut = cut_into_fans(corners.sizes, corners.values.astype(np.int64), source)
-    return Polygons(vertices, faces, cut)
+    return polygons_cut(vertices, corners.sizes, _indices(corners.values, source), source)
+
+
+def _indices(values: NDArray[Any], source: str) -> Int:
+    """Whole numbers; MeshError where the file stores others."""
+    if values.dtype.kind == "f" and not (np.abs(values) < 2**53).all():
+        raise MeshError(f"{source}: a face has a corner that is no whole number; {WAY_OUT}")
+    whole: Int = values.astype(np.int64)
+    if (whole != values).any():
+        raise MeshError(f"{source}: a face has a corner that is no whole number; {WAY_OUT}")
+    return whole
 
 
 def _header(data: bytes, source: str) -> tuple[str, list[_Element], int]:
@@ -97,9 +106,18 @@ def _header(data: bytes, source: str) -> tuple[str, list[_Element], int]:
         except (KeyError, IndexError, ValueError) as error:
             said = line[:60].decode("latin-1")
             raise MeshError(f"{source}: line {number}: {said!r} cannot be read as PLY header; {WAY_OUT}") from error
+    _require_different([element.name for element in elements], "element", source)
+    for element in elements:
+        _require_different([p.name for p in element.properties], f"property of {element.name}", source)
     if order is None:
         raise MeshError(f"{source}: the PLY header states no format; {WAY_OUT}")
     return order, elements, end.end()
+
+
+def _require_different(names: list[str], what: str, source: str) -> None:
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise MeshError(f"{source}: the PLY header has two times the {what} {twice!r}; {WAY_OUT}")
 
 
 def _count(word: bytes) -> int:
@@ -110,7 +128,10 @@ def _count(word: bytes) -> int:
 
 def _property(words: list[bytes]) -> _Property:
     if words[0] == b"list":
-        return _Property(words[3].decode(), _TYPES[words[2].decode()], _TYPES[words[1].decode()])
+        count_type = _TYPES[words[1].decode()]
+        if count_type.startswith("f"):
+            raise ValueError("a count is a whole number")
+        return _Property(words[3].decode(), _TYPES[words[2].decode()], count_type)
     return _Property(words[1].decode(), _TYPES[words[0].decode()], "")
 
 
@@ -243,7 +264,7 @@ class _Ascii:
         return numbers if p.value_type.startswith("f") else self._whole(numbers, element)
 
     def _whole(self, numbers: Float, element: _Element) -> Int:
-        if not (np.isfinite(numbers).all() and (numbers == np.floor(numbers)).all()):
+        if not ((np.abs(numbers) < 2**53).all() and (numbers == np.floor(numbers)).all()):
             raise MeshError(f"{self._source}: a {element.name} has an index that is no whole number; {WAY_OUT}")
         return numbers.astype(np.int64)
 

@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,9 @@ from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.landmarks import read_landmarks
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
+from musclefit.io.formats.texts import in_mm, read_bytes, read_text
 from musclefit.io.formats.trc import read_trajectories
+from musclefit.io.formats.vtk_xml import VtkFile
 from musclefit.io.run_folder import ply_bytes
 from musclefit.rig.job import AttachedPoints
 from musclefit.vocabulary import Unit
@@ -180,20 +181,14 @@ def _obj(path: Path, units: Unit) -> tuple[Points, Rewrite]:
 
 
 def _vtk(path: Path, units: Unit) -> tuple[Points, Rewrite]:
-    """VTK files: the data at points and cells are kept."""
-    import pyvista as pv  # slow to import
-
-    mesh: Any = pv.read(path)
-    points = np.array(mesh.points, dtype=np.float64) * units.in_mm
+    """VTK files: all but the positions is kept as it stands."""
+    kind = "PolyData" if path.suffix.lower() == ".vtp" else "UnstructuredGrid"
+    file = VtkFile(read_bytes(path), str(path), kind=kind)
+    file.check()
+    points = in_mm(file.points(), units, source=str(path), error=MeshError)
     if not np.isfinite(points).all():
         raise MeshError(f"{path}: has points that are not finite; export it again")
-
-    def rewrite(moved: Points, out: Path) -> None:
-        copy = mesh.copy()
-        copy.points = moved / units.in_mm
-        copy.save(out, binary=True)
-
-    return points, rewrite
+    return points, lambda moved, out: _write_bytes(out, file.with_points(moved / units.in_mm))
 
 
 _READERS: Mapping[str, Callable[[Path, Unit], tuple[Points, Rewrite]]] = MappingProxyType(
@@ -212,12 +207,11 @@ _READERS: Mapping[str, Callable[[Path, Unit], tuple[Points, Rewrite]]] = Mapping
 
 
 def _text(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); correct the path or its permissions") from error
-    except UnicodeDecodeError as error:
-        raise LandmarkError(f"{path}: not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from error
+    return read_text(path, error=LandmarkError)
+
+
+def _write_bytes(out: Path, data: bytes) -> None:
+    out.write_bytes(data)
 
 
 def _write_text(out: Path, text: str) -> None:

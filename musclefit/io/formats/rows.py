@@ -13,6 +13,7 @@ import numpy as np
 
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Float, Points
+from musclefit.io.formats.texts import in_mm
 from musclefit.vocabulary import Unit
 
 
@@ -27,9 +28,11 @@ class Rows:
     @classmethod
     def of_csv(cls, text: str, path: Path, *, key: str = "name") -> Rows:
         """Read a table parted by comma, semicolon or tab, whose first line has the headings, ``key`` among them."""
-        first = text.lstrip().splitlines()[0]
+        first = (text.lstrip().splitlines() or [""])[0]
         delimiter = max(",;\t", key=first.count)
         lines = csv_lines(text, path, delimiter=delimiter)
+        if not lines:
+            raise LandmarkError(f"{path}: has no line of headings; export it again")
         headings = tuple(cell.strip().lower() for cell in lines[0][1])
         table = cls(path, headings, tuple(lines[1:]))
         table.require(key)
@@ -134,4 +137,4 @@ class PositionColumns:
 
     def read(self, rows: Rows) -> Points:
         """(rows, 3) positions, mm."""
-        return rows.numbers(self.headings) * self.unit.in_mm
+        return in_mm(rows.numbers(self.headings), self.unit, source=str(rows.path), error=LandmarkError)

@@ -1,6 +1,6 @@
 """The bytes of a surface file -> vertices and faces as they stand in it; knows formats, not tissues.
 
-STL, PLY and OBJ are read here and in `io.ply`, not by trimesh or VTK, because a file cut short must never pass for
+STL, PLY, OBJ and VTP are read here and beside, not by trimesh or VTK, because a file cut short must never pass for
 a whole one: trimesh 5.2 returns 9 of 12 triangles of a shortened ASCII PLY and 11 of 12 of a shortened OBJ in
 silence, VTK 9.7 crashes the process on a shortened binary PLY and rounds its coordinates to single precision. Every
 count that a file states is held against what it contains. What no reader can see is a text file cut inside its last
@@ -11,18 +11,14 @@ the check for closed surfaces finds.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkObject
-from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Faces, Float, Int, Points
+from musclefit.geometry.surfaces.polygons import cut_polygons
 
 WAY_OUT = "the file is damaged or cut short; export it again"
 """What to do about a file that does not hold what it says."""
@@ -37,7 +33,7 @@ class Polygons:
     vertices : (n, 3) float64, in the file's unit
     faces : (f, 3) int64, 0-based as in the file, polygons cut into triangles
     cut : int
-        Polygons with more than three corners that were cut into triangles, all from their first corner.
+        Polygons with more than three corners that were cut into triangles.
     """
 
     vertices: Points
@@ -94,7 +90,7 @@ def _ascii_stl_corners(data: bytes, source: str) -> Float:
 
 
 _OBJ_IGNORED = frozenset(
-    {"vt", "vn", "vp", "g", "o", "s", "l", "p", "usemtl", "mtllib", "usemap", "maplib"}
+    {"vt", "vn", "vp", "g", "mg", "o", "s", "l", "p", "usemtl", "mtllib", "usemap", "maplib"}
     | {"lod", "bevel", "c_interp", "d_interp", "shadow_obj"}
 )
 
@@ -126,8 +122,13 @@ def read_obj(data: bytes, source: str) -> Polygons:
                 "the file is not OBJ, is damaged, or holds curved surfaces: export it as triangles"
             )
     points = _numbers(np.array(vertices, dtype=object), source, what="a vertex").reshape(-1, 3)
-    faces, cut = _triangles(polygons, source)
-    return Polygons(points, faces, cut)
+    sizes = np.array([len(p) for p in polygons], dtype=np.int64)
+    corners = np.array([i for p in polygons for i in p], dtype=np.int64)
+    return polygons_cut(points, sizes, corners, source)
+
+
+_LARGEST_INDEX = 2**62
+"""No file has as many vertices; larger indices are no 64-bit integers."""
 
 
 def _obj_corners(words: list[bytes], place: str, known: int) -> list[int]:
@@ -135,60 +136,11 @@ def _obj_corners(words: list[bytes], place: str, known: int) -> list[int]:
         indices = [int(word.split(b"/", 1)[0]) for word in words]
     except ValueError as error:
         raise MeshError(f"{place}: a face has a corner that is no whole number ({error}); {WAY_OUT}") from error
+    if max(map(abs, indices), default=0) > _LARGEST_INDEX:
+        raise MeshError(f"{place}: a face refers to vertex {str(max(indices, key=abs))[:24]}...; {WAY_OUT}")
     if 0 in indices:
         raise MeshError(f"{place}: a face refers to vertex 0, but OBJ counts from 1; export the file again")
     return [i - 1 if i > 0 else known + i for i in indices]
-
-
-def read_vtp(data: bytes, source: str) -> Polygons:
-    """Read VTK XML poly data through VTK, its polygons only.
-
-    Raises
-    ------
-    MeshError
-        VTK reports an error, the counts stated in the file differ from what was read, or there are triangle strips.
-    """
-    if not data.rstrip().endswith(b"</VTKFile>"):
-        raise MeshError(f"{source}: not a whole VTP file, its last tag </VTKFile> is missing; {WAY_OUT}")
-    head = data.split(b"<AppendedData", 1)[0]
-    stated = {key: sum(int(n) for n in re.findall(rb"\b%s=\"(\d+)\"" % key.encode(), head)) for key in _VTP_COUNTS}
-    reader: Any = vtkXMLPolyDataReader()
-    reader.ReadFromInputStringOn()
-    reader.SetBinaryInputString(data, len(data))
-    with _quiet_vtk():
-        reader.Update()
-    read = reader.GetOutput()
-    found = dict(
-        zip(_VTP_COUNTS, (read.GetNumberOfPoints(), read.GetNumberOfPolys(), read.GetNumberOfStrips()), strict=True)
-    )
-    if reader.GetErrorCode() or found != stated:
-        raise MeshError(f"{source}: a VTP file that states {_said(stated)}, but VTK reads {_said(found)}; {WAY_OUT}")
-    if found["NumberOfStrips"]:
-        raise MeshError(f"{source}: holds {found['NumberOfStrips']} triangle strips; export it as triangles")
-    if not found["NumberOfPoints"] or not found["NumberOfPolys"]:
-        return Polygons(np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0)
-    ends = vtk_to_numpy(read.GetPolys().GetOffsetsArray()).astype(np.int64)
-    corners = vtk_to_numpy(read.GetPolys().GetConnectivityArray()).astype(np.int64)
-    faces, cut = cut_into_fans(np.diff(ends), corners, source)
-    return Polygons(vtk_to_numpy(read.GetPoints().GetData()).astype(np.float64), faces, cut)
-
-
-_VTP_COUNTS = ("NumberOfPoints", "NumberOfPolys", "NumberOfStrips")
-
-
-def _said(counts: dict[str, int]) -> str:
-    return f"{counts['NumberOfPoints']} points and {counts['NumberOfPolys']} polygons"
-
-
-@contextmanager
-def _quiet_vtk() -> Iterator[None]:
-    """Keep VTK from printing: what it would print is raised instead."""
-    before = vtkObject.GetGlobalWarningDisplay()
-    vtkObject.GlobalWarningDisplayOff()
-    try:
-        yield
-    finally:
-        vtkObject.SetGlobalWarningDisplay(before)
 
 
 def _numbers(words: Any, source: str, *, what: str) -> Float:
@@ -199,24 +151,22 @@ def _numbers(words: Any, source: str, *, what: str) -> Float:
     return values
 
 
-def _triangles(polygons: Sequence[Sequence[int]], source: str) -> tuple[Faces, int]:
-    sizes = np.array([len(p) for p in polygons], dtype=np.int64)
-    corners = np.array([i for p in polygons for i in p], dtype=np.int64)
-    return cut_into_fans(sizes, corners, source)
+def polygons_cut(vertices: Points, sizes: Int, corners: Int, source: str) -> Polygons:
+    """Polygons, given by their sizes and their corners one after the other, cut into triangles.
 
-
-def cut_into_fans(sizes: Int, corners: Int, source: str) -> tuple[Faces, int]:
-    """Cut polygons, given by their sizes and their corners one after the other, into fans about their first corners."""
+    Raises
+    ------
+    MeshError
+        A polygon of fewer than 3 corners, or a non-convex one of too many.
+    """
     if not len(sizes):
-        return np.zeros((0, 3), np.int64), 0
+        return Polygons(vertices, np.zeros((0, 3), np.int64), 0)
     if sizes.min() < 3:
         first = int(np.argmin(sizes))
         raise MeshError(f"{source}: face {first} (0-based) has {sizes[first]} corners; a face needs 3. {WAY_OUT}")
     if sizes.max() == 3:
-        return corners.reshape(-1, 3), 0
-    starts = np.cumsum(sizes) - sizes
-    of = np.repeat(np.arange(len(sizes)), sizes - 2)
-    nth = np.arange(len(of)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
-    first_corner = starts[of]
-    faces = np.stack([corners[first_corner], corners[first_corner + nth + 1], corners[first_corner + nth + 2]], axis=1)
-    return faces, int((sizes > 3).sum())
+        return Polygons(vertices, corners.reshape(-1, 3), 0)
+    try:
+        return Polygons(vertices, cut_polygons(vertices, sizes, corners), int((sizes > 3).sum()))
+    except ValueError as error:
+        raise MeshError(f"{source}: {error}; cut it into triangles and export it again") from None

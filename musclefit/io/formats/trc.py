@@ -8,6 +8,7 @@ import numpy as np
 
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Float, Points
+from musclefit.io.formats.texts import in_mm
 from musclefit.vocabulary import Unit
 
 _FIRST_MARKER = 2
@@ -97,7 +98,8 @@ def read_trajectories(text: str, source: str, *, units: Unit) -> Trajectories:
         )
     if not rows:
         raise LandmarkError(f"{source}: has no frame; export it again")
-    positions = np.stack([_frame(lines[i], i + 1, source, n_markers) for i in rows]) * unit.in_mm
+    positions = np.stack([_frame(lines[i], i + 1, source, n_markers) for i in rows])
+    positions = in_mm(positions, unit, source=source, error=LandmarkError)
     never = np.flatnonzero(~np.isfinite(positions).all(axis=2).any(axis=0))
     if never.size:
         raise LandmarkError(f"{source}: marker {names[never[0]]!r} is in no frame; leave its columns out")

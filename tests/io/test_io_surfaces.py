@@ -478,3 +478,33 @@ def test_the_whole_body_reads(anatomy_data):
     )
     assert len(read.anatomy) == len(list(body.glob("*/*.ply"))) + 1
     assert {f.code for f in read.findings} <= {"self-crossing", "self-touching"}
+
+
+def test_triangle_strips_of_ply_are_read(write):
+    head = (
+        "ply\nformat {} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], dtype="<f4")
+    strips = np.array([8, 0, 1, 2, 3, -1, 2, 3, 4], dtype="<i4")
+    text = "\n".join(" ".join(map(str, row)) for row in points.tolist()) + "\n" + " ".join(map(str, strips)) + "\n"
+    binary = head.format("binary_little_endian").encode() + points.tobytes() + strips.tobytes()
+    for data in (head.format("ascii").encode() + text.encode(), binary):
+        raw = read_surface(write("a.ply", data))
+        np.testing.assert_array_equal(raw.vertices, points)
+        assert raw.faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4]]
+    short = text.replace("8 0 1 2 3 -1 2 3 4", "7 0 1 2 3 -1 2 3")
+    with pytest.raises(MeshError, match="a triangle strip has 2 corners"):
+        read_surface(write("a.ply", head.format("ascii").encode() + short.encode()))
+
+
+def test_an_obj_that_is_not_convex_is_cut_without_folds(write):
+    corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    for first in range(6):
+        rows = [f"v {x} {y} 7" for x, y in corners]
+        face = " ".join(str(1 + (first + k) % 6) for k in range(6))
+        raw = read_surface(write("l.obj", "\n".join(["mg 1 0.5", *rows, f"f {face}"]).encode()))
+        a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
+        areas = np.cross(b - a, c - a)[:, 2] / 2
+        assert areas.min() > 0
+        assert areas.sum() == pytest.approx(3.0)

@@ -80,7 +80,8 @@ def read_volume(path: Path) -> Volume:
     if unit not in _UNITS_MM:
         raise InputError(f"{path}: its voxels are measured in {unit!r}; known are {', '.join(_UNITS_MM)}")
     scale = _UNITS_MM[unit]
-    affine = np.diag([scale, scale, scale, 1.0]) @ image.affine
+    with np.errstate(all="ignore"):  # the grid refuses what is not finite
+        affine = np.diag([scale, scale, scale, 1.0]) @ image.affine
     shape = (int(data.shape[0]), int(data.shape[1]), int(data.shape[2]))
     return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha256(stored).hexdigest())
 

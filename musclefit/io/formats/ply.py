@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.errors import MeshError
-from musclefit.geometry.arrays import Float, Int
+from musclefit.geometry.arrays import Faces, Float, Int
+from musclefit.geometry.surfaces.polygons import cut_strips
 from musclefit.io.formats.surfaces import WAY_OUT, Polygons, polygons_cut
 
 _TYPES = {
@@ -25,6 +26,8 @@ _TYPES = {
 }
 _ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 _CORNER_LISTS = ("vertex_indices", "vertex_index")
+_STRIPS = "tristrips"
+"""The element of triangle strips, as the scans of Stanford's repository have it instead of faces."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ class _Column:
 
 
 def read_ply(data: bytes, source: str) -> Polygons:
-    """Read PLY; elements other than vertices and faces are read past.
+    """Read PLY; elements other than vertices, faces and triangle strips are read past.
 
     Raises
     ------
@@ -63,23 +66,48 @@ def read_ply(data: bytes, source: str) -> Polygons:
     """
     order, elements, start = _header(data, source)
     by_name = {element.name: element for element in elements}
-    for name, wanted in (("vertex", ("x", "y", "z")), ("face", _CORNER_LISTS)):
-        if name not in by_name:
-            raise MeshError(f"{source}: a PLY file without {name} elements; export it as a triangle surface")
-        have = [p.name for p in by_name[name].properties if bool(p.count_type) == (name == "face")]
-        if not (set(wanted) <= set(have) or (name == "face" and set(wanted) & set(have))):
+    if "vertex" not in by_name or not {"face", _STRIPS} & by_name.keys():
+        missing = "face" if "vertex" in by_name else "vertex"
+        raise MeshError(f"{source}: a PLY file without {missing} elements; export it as a triangle surface")
+    for name in ({"vertex", "face", _STRIPS} & by_name.keys()) - ({"face"} if _STRIPS in by_name else set()):
+        wanted = ("x", "y", "z") if name == "vertex" else _CORNER_LISTS
+        have = [p.name for p in by_name[name].properties if bool(p.count_type) == (name != "vertex")]
+        if not (set(wanted) <= set(have) or (name != "vertex" and set(wanted) & set(have))):
             raise MeshError(f"{source}: PLY element {name} has {have}; it needs {' or '.join(wanted)}")
     reader = _Binary(data, start, order, source) if order else _Ascii(data[start:], source)
     columns = {element.name: reader.element(element) for element in elements}
     reader.finish()
-    vertices = np.stack([columns["vertex"][axis].values.astype(np.float64) for axis in "xyz"], axis=1)
-    corners = next(columns["face"][name] for name in _CORNER_LISTS if name in columns["face"])
-    return polygons_cut(vertices, corners.sizes, _indices(corners.values, source), source)
+    with np.errstate(invalid="ignore"):  # signalling NaN: whoever takes the surface in refuses what is not finite
+        vertices = np.stack([columns["vertex"][axis].values.astype(np.float64) for axis in "xyz"], axis=1)
+    faces = _corner_lists(columns.get("face", {}))
+    cut = polygons_cut(vertices, faces.sizes, _indices(faces.values, source), source)
+    strips = _corner_lists(columns.get(_STRIPS, {}))
+    if not len(strips.values):
+        return cut
+    return Polygons(vertices, np.concatenate([cut.faces, _strip_faces(strips, source)]), cut.cut)
+
+
+def _corner_lists(columns: dict[str, _Column]) -> _Column:
+    """The lists of corners of an element; none where there is no such element."""
+    none = _Column(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return next((columns[name] for name in _CORNER_LISTS if name in columns), none)
+
+
+def _strip_faces(strips: _Column, source: str) -> Faces:
+    """The triangles of strips; within a list, -1 ends a strip."""
+    corners = _indices(strips.values, source)
+    ends = np.zeros(len(corners) + 1, dtype=np.bool_)
+    ends[np.cumsum(strips.sizes)] = True
+    number = np.cumsum((corners == -1) | ends[:-1])[corners != -1]
+    sizes = np.unique(number, return_counts=True)[1]
+    if sizes.size and sizes.min() < 3:
+        raise MeshError(f"{source}: a triangle strip has {sizes.min()} corners; it needs 3. {WAY_OUT}")
+    return cut_strips(sizes, corners[corners != -1])
 
 
 def _indices(values: NDArray[Any], source: str) -> Int:
     """Whole numbers; MeshError where the file stores others."""
-    if values.dtype.kind == "f" and not (np.abs(values) < 2**53).all():
+    if values.dtype.kind == "f" and not (np.isfinite(values) & (np.abs(values) < 2**53)).all():
         raise MeshError(f"{source}: a face has a corner that is no whole number; {WAY_OUT}")
     whole: Int = values.astype(np.int64)
     if (whole != values).any():

@@ -52,7 +52,8 @@ def read_stl(data: bytes, source: str) -> Polygons:
     stated = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
     if stated >= 0 and len(data) == 84 + 50 * stated:
         record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-        corners = np.frombuffer(data, record, offset=84)["corners"].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # signalling NaN: whoever takes the surface in refuses what is not finite
+            corners = np.frombuffer(data, record, offset=84)["corners"].astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         corners = _ascii_stl_corners(data, source)
     else:

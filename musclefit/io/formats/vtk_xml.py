@@ -216,7 +216,8 @@ class VtkFile:
         values = self._values(elements[0], "Points", components=3)
         if values.shape != (count, 3):
             raise self.damaged(f"states {count} points, but holds {values.size} coordinates of points")
-        return values.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # signalling NaN: whoever takes the points in refuses what is not finite
+            return values.astype(np.float64)
 
     def _whole(self, piece: _Piece, section: str, name: str, count: int | None) -> Int:
         """An array of whole numbers, of a length that the file states (None: of any)."""

@@ -1,0 +1,561 @@
+"""Damaged files over every reader, in guarded children: what is not refused in words, dies, hangs or swells is told.
+
+``python tests/reader_fuzzing.py --files 100000 --seed 1`` damages good files, the same ones for a seed, and prints a
+line for each reader; exit code 1 where a file was not survived. A reader is added by a line in ``READERS``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import random
+import re
+import resource
+import select
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CPU_S = 5.0
+"""Longest time that a file may take, CPU seconds."""
+SILENT_S = 120.0
+"""A child that says nothing for so long, seconds on the clock, hangs."""
+MEMORY_BYTES = 1 << 30
+"""What reading a file may take beyond what the child has when it starts."""
+
+Examples = Callable[[], list[bytes]]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader: its name, the ending of its files, what reads one, and good files of it."""
+
+    name: str
+    ending: str
+    read: Callable[[Path], object]
+    examples: Examples
+
+
+# Good files
+
+
+def _ball() -> Any:
+    import trimesh
+
+    return trimesh.creation.icosphere(0, radius=10.0)
+
+
+def _plys() -> list[bytes]:
+    from musclefit.geometry.meshes import TriMesh
+    from musclefit.io.run_folder import ply_bytes
+
+    ball = _ball()
+    text = ball.export(file_type="ply", encoding="ascii")
+    strips = (
+        b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        b"element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+        b"0 0 0\n1 0 0\n0 1 0\n1 1 0\n7 0 1 2 -1 1 3 2\n"
+    )
+    return [ply_bytes(TriMesh(ball.vertices, ball.faces)), text, ball.export(file_type="ply"), strips]
+
+
+def _stls() -> list[bytes]:
+    return [_ball().export(file_type="stl"), _ball().export(file_type="stl_ascii").encode()]
+
+
+def _objs() -> list[bytes]:
+    return [_ball().export(file_type="obj").encode(), b"v 0 0 0\nv 2 0 0\nv 1 1 0\nv 0 2 0\nf 1/1/1 2//2 -2 -1\n"]
+
+
+def _vtk_files(make: Callable[[], Any], writer: Callable[[], Any]) -> list[bytes]:
+    found = []
+    for mode in ("Ascii", "Binary", "Appended"):
+        for packed in (False, True):
+            out = writer()
+            out.SetInputData(make())
+            getattr(out, f"SetDataModeTo{mode}")()
+            out.EncodeAppendedDataOff()
+            if not packed:
+                out.SetCompressor(None)
+            with tempfile.TemporaryDirectory() as folder:
+                out.SetFileName(f"{folder}/file")
+                out.Write()
+                found.append((Path(folder) / "file").read_bytes())
+    return found
+
+
+def _vtps() -> list[bytes]:
+    import pyvista as pv
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+    def mesh() -> Any:
+        surface = pv.PolyData.from_regular_faces(np.array(_ball().vertices), np.array(_ball().faces))
+        surface.point_data["load"] = np.arange(12.0)
+        return surface
+
+    return _vtk_files(mesh, vtkXMLPolyDataWriter)
+
+
+def _grid() -> Any:
+    import pyvista as pv
+
+    grid = pv.UnstructuredGrid(
+        {pv.CellType.TETRA: np.array([[0, 1, 2, 3], [1, 2, 3, 4]])}, np.random.default_rng(0).normal(size=(5, 3))
+    )
+    grid.cell_data["tissue"] = np.array([0, 1])
+    grid.point_data["rest_position_mm"] = np.zeros((5, 3))
+    grid.field_data["bone"], grid.field_data["muscle"] = np.array([0, 3]), np.array([1, 3])
+    return grid
+
+
+def _vtus() -> list[bytes]:
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    return _vtk_files(_grid, vtkXMLUnstructuredGridWriter)
+
+
+def _niftis() -> list[bytes]:
+    import nibabel
+
+    found = []
+    for dtype in (np.uint8, np.int16, np.float32):
+        data = np.arange(60).reshape(3, 4, 5).astype(dtype)
+        image = nibabel.Nifti1Image(data, np.diag([1.0, 2.0, 3.0, 1.0]))
+        image.header.set_xyzt_units("mm")
+        found.append(image.to_bytes())
+    return found
+
+
+def _packed_niftis() -> list[bytes]:
+    return [gzip.compress(data) for data in _niftis()]
+
+
+def _landmark_tables() -> list[bytes]:
+    return [
+        b"name,bone,x_mm,y_mm,z_mm,target_x_mm,target_y_mm,target_z_mm\nA,hum,1,2,3,4,5,6\nB,uln,7,8,9,1,2,3\n",
+        b"name;x;y;z\nA;1;2;3\nB;4;5;6.5\n",
+    ]
+
+
+FCSV = (
+    b"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n"
+    b"# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+    b'1,1,2,3,0,0,0,1,1,1,0,elbow,"a, b",\n2,-4.5,50,6,0,0,0,1,1,1,0,wrist,,\n'
+)
+MARKUPS = {
+    "markups": [
+        {
+            "type": "Fiducial",
+            "coordinateSystem": "LPS",
+            "coordinateUnits": "mm",
+            "controlPoints": [
+                {"label": "a", "position": [0.1, 0.2, 0.3], "positionStatus": "defined"},
+                {"label": "b", "position": [5.0, 0.0, 0.5]},
+            ],
+        }
+    ]
+}
+TRC = (
+    b"PathFileType\t4\t(X/Y/Z)\tt.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\n"
+    b"100\t100\t2\t2\tmm\t100\nFrame#\tTime\tA\t\t\tB\t\t\n\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n\n"
+    b"1\t0.0\t1\t2\t3\t4\t5\t6\n2\t0.01\t1.5\t2\t3\t\t\t\n"
+)
+TRANSFORMS = {
+    "units": "mm",
+    "transforms": [
+        {"bone": "ulna", "time_s": 0.0, "matrix": np.eye(4).tolist()},
+        {"bone": "ulna", "time_s": 1.0, "quaternion_wxyz": [1, 0, 0, 0], "translation_mm": [1, 2, 3]},
+    ],
+}
+
+
+# What reads them
+
+
+def _surface(path: Path) -> object:
+    from musclefit.io.anatomy import read_surface
+
+    return read_surface(path).mesh()
+
+
+def _points(path: Path) -> object:
+    from musclefit.io.formats.points import read_points
+    from musclefit.vocabulary import Unit
+
+    read = read_points(path, units=Unit.METRE)
+    return read.rewrite(read.points + 1.0, path.with_name(f"moved-{path.name}"))
+
+
+def _landmarks(path: Path) -> object:
+    from musclefit.io.formats.landmarks import read_landmarks
+
+    return read_landmarks(path)
+
+
+def _volume(path: Path) -> object:
+    from musclefit.io.formats.nifti import read_volume
+
+    return read_volume(path)
+
+
+def _label_names(path: Path) -> object:
+    from musclefit.io.label_maps import read_label_names
+
+    return read_label_names(path)
+
+
+def _motion(path: Path) -> object:
+    from musclefit.io.formats.motions import read_motion
+
+    return read_motion(path)
+
+
+def _lattice(path: Path) -> object:
+    from musclefit.io.formats.control_points import read_displacements
+    from musclefit.vocabulary import Unit
+
+    return read_displacements(path, shape=(3, 3, 3), units=Unit.METRE)
+
+
+def _transforms(path: Path) -> object:
+    from musclefit.io.formats.transforms import parse_transforms
+    from musclefit.vocabulary import Unit
+
+    return parse_transforms(path.read_bytes(), source=str(path), units=Unit.METRE)
+
+
+def _joints(path: Path) -> object:
+    from musclefit.io.formats.tables import parse_table
+    from musclefit.rig.joints import parse_joints
+
+    return parse_joints(parse_table(path.read_bytes(), source=str(path)), source=str(path))
+
+
+def _joint_files() -> list[bytes]:
+    from tiny_rigs import JOINTS
+
+    return [JOINTS.encode()]
+
+
+@cache
+def _rig_folder() -> Path:
+    from tiny_rigs import JOINTS, write_tiny_rig
+
+    rig = write_tiny_rig(Path(tempfile.mkdtemp(prefix="musclefit-rig-")))
+    (rig.parent / "joints.toml").write_text(JOINTS)
+    return rig.parent
+
+
+def _rig(path: Path) -> object:
+    from musclefit.io.rigs import read_rig
+
+    inside = _rig_folder() / "fuzzed.toml"
+    inside.write_bytes(path.read_bytes())
+    return read_rig(inside)
+
+
+def _rig_files() -> list[bytes]:
+    from tiny_rigs import JOINT_DRIVE, RIG
+
+    joints = RIG.replace(RIG[RIG.index("[drive]") : RIG.index("[deformer]")], JOINT_DRIVE + "\n")
+    return [RIG.encode(), joints.encode()]
+
+
+def _run_tets(path: Path) -> object:
+    from musclefit.io.run_tets import Shape, read_run_tets
+
+    (path.parent / "report.json").write_text('{"title": "a"}')
+    (path.parent / "tets.vtu").write_bytes(path.read_bytes())
+    return [read_run_tets(path.parent, shape=shape) for shape in Shape]
+
+
+def _deck(path: Path) -> object:
+    from musclefit.io.decks import read_deck
+
+    return read_deck(path)
+
+
+KEYWORDS = (
+    b"*KEYWORD\n*NODE\n       1             0.0             0.0             0.0\n"
+    b"       2             1.0             0.0             0.0\n"
+    b"       3             0.0             1.0             0.0\n"
+    b"       4             0.0             0.0             1.0\n*ELEMENT_SOLID\n"
+    b"       1       1       1       2       3       4       4       4       4       4\n*END\n"
+)
+ABAQUS = (
+    b"*HEADING\na\n*NODE\n1, 0., 0., 0.\n2, 1., 0., 0.\n3, 0., 1., 0.\n4, 0., 0., 1.\n"
+    b"*ELEMENT, TYPE=C3D4, ELSET=bone\n1, 1, 2, 3, 4\n"
+)
+FEBIO = (
+    b'<?xml version="1.0"?>\n<febio_spec version="4.0"><Mesh><Nodes name="a"><node id="1">0,0,0</node>'
+    b'<node id="2">1,0,0</node><node id="3">0,1,0</node><node id="4">0,0,1</node></Nodes>'
+    b'<Elements type="tet4" name="bone"><elem id="1">1,2,3,4</elem></Elements></Mesh></febio_spec>\n'
+)
+
+
+def _given(*files: bytes) -> Examples:
+    return lambda: list(files)
+
+
+MARKUP_FILE = json.dumps(MARKUPS).encode()
+LATTICE = b"i,j,k,dx,dy,dz\n0,1,2,1,0,0\n2,2,2,0,0.5,0\n"
+READERS = (
+    Reader("surface ply", ".ply", _surface, _plys),
+    Reader("surface stl", ".stl", _surface, _stls),
+    Reader("surface obj", ".obj", _surface, _objs),
+    Reader("surface vtp", ".vtp", _surface, _vtps),
+    Reader("points ply", ".ply", _points, _plys),
+    Reader("points obj", ".obj", _points, _objs),
+    Reader("points stl", ".stl", _points, _stls),
+    Reader("points vtp", ".vtp", _points, _vtps),
+    Reader("points vtu", ".vtu", _points, _vtus),
+    Reader("points csv", ".csv", _points, _given(b"muscle;x_cm;y_cm;z_cm\na;1;2;3\nb;4;5;6\n", b"x,y,z\n1,2,3\n")),
+    Reader("points fcsv", ".fcsv", _points, _given(FCSV)),
+    Reader("points markups", ".mrk.json", _points, _given(MARKUP_FILE)),
+    Reader("points trc", ".trc", _points, _given(TRC)),
+    Reader("landmarks csv", ".csv", _landmarks, _landmark_tables),
+    Reader("landmarks fcsv", ".fcsv", _landmarks, _given(FCSV)),
+    Reader("landmarks markups", ".mrk.json", _landmarks, _given(MARKUP_FILE)),
+    Reader("landmarks trc", ".trc", _landmarks, _given(TRC)),
+    Reader("image nii", ".nii", _volume, _niftis),
+    Reader("image nii.gz", ".nii.gz", _volume, _packed_niftis),
+    Reader("label names", ".csv", _label_names, _given(b"value,name,kind\n1,biceps,muscle\n2,ulna,bone\n")),
+    Reader("motion csv", ".csv", _motion, _given(b"time_s,elbow_deg,phase\n0,0,a\n0.5,10,b\n1,20,c\n")),
+    Reader("lattice csv", ".csv", _lattice, _given(LATTICE)),
+    Reader("transforms json", ".json", _transforms, _given(json.dumps(TRANSFORMS).encode())),
+    Reader("transforms csv", ".csv", _transforms, _given(b"bone,qw,qx,qy,qz,x_mm,y_mm,z_mm\nulna,1,0,0,0,1,2,3\n")),
+    Reader("joints toml", ".toml", _joints, _joint_files),
+    Reader("rig toml", ".toml", _rig, _rig_files),
+    Reader("deck k", ".k", _deck, _given(KEYWORDS)),
+    Reader("deck inp", ".inp", _deck, _given(ABAQUS)),
+    Reader("deck feb", ".feb", _deck, _given(FEBIO)),
+    Reader("tets of a run", ".vtu", _run_tets, _vtus),
+)
+
+
+# How files are damaged
+
+WORDS = (
+    *(b"0", b"-1", b"1", b"2", b"1e308", b"-1e308", b"1e-320", b"nan", b"inf", b"-inf", b"", b"1e999"),
+    *(str(n).encode() for n in (2**7, 2**15, 2**31, 2**31 - 1, 2**32, 2**63, 2**63 - 1, -(2**63), 2**64, 10**30)),
+    *(b"9" * 400, b"9" * 5000, b"0x10", b"1_0", b"\xc3\xa9", b"\xe9", b"\x00", b"true", b"null", b"[]", b"{}", b'"'),
+)
+NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+def damaged(data: bytes, chance: random.Random) -> bytes:
+    """The bytes with one to four faults; those of a packed file mostly within what is packed."""
+    if data[:2] == b"\x1f\x8b" and chance.random() < 0.6:
+        return gzip.compress(damaged(gzip.decompress(data), chance), 1)
+    for _ in range(chance.randint(1, 4)):
+        data = chance.choice(FAULTS)(data, chance)
+    return data
+
+
+def _flip(data: bytes, chance: random.Random) -> bytes:
+    at = chance.randrange(len(data) or 1)
+    return data[:at] + bytes([chance.randrange(256)]) + data[at + 1 :]
+
+
+def _cut(data: bytes, chance: random.Random) -> bytes:
+    return data[: chance.randrange(len(data) + 1)]
+
+
+def _span(data: bytes, chance: random.Random) -> tuple[int, int]:
+    begin = chance.randrange(len(data) + 1)
+    return begin, min(len(data), begin + chance.choice((1, 2, 8, 40, 300)))
+
+
+def _leave_out(data: bytes, chance: random.Random) -> bytes:
+    begin, end = _span(data, chance)
+    return data[:begin] + data[end:]
+
+
+def _double(data: bytes, chance: random.Random) -> bytes:
+    begin, end = _span(data, chance)
+    return data[:end] + data[begin:end] * chance.choice((1, 1, 3, 100)) + data[end:]
+
+
+def _noise(data: bytes, chance: random.Random) -> bytes:
+    at = chance.randrange(len(data) + 1)
+    return data[:at] + chance.randbytes(chance.choice((1, 4, 50))) + data[at:]
+
+
+def _number(data: bytes, chance: random.Random) -> bytes:
+    found = list(NUMBER.finditer(data[:20000]))
+    if not found:
+        return _integer(data, chance)
+    word = chance.choice(found)
+    return data[: word.start()] + chance.choice(WORDS) + data[word.end() :]
+
+
+def _integer(data: bytes, chance: random.Random) -> bytes:
+    size = chance.choice((2, 4, 8))
+    at = chance.randrange(max(len(data) - size, 0) + 1)
+    value = chance.choice((0, 1, -1, 2**15, 2**31 - 1, -(2**31), 2**32 - 1, 2**63 - 1, 2**62, 7, 1000))
+    return data[:at] + (value % 2 ** (8 * size)).to_bytes(size, chance.choice(("little", "big"))) + data[at + size :]
+
+
+def _real(data: bytes, chance: random.Random) -> bytes:
+    kind = chance.choice(("<f4", "<f8", ">f4", ">f8"))
+    with np.errstate(over="ignore"):
+        word = np.array(chance.choice((np.nan, np.inf, 1e308, 1e38, 1e-310, -1.0)), dtype=kind).tobytes()
+    at = chance.randrange(max(len(data) - len(word), 0) + 1)
+    return data[:at] + word + data[at + len(word) :]
+
+
+def _lines(data: bytes, chance: random.Random) -> bytes:
+    lines = data.split(b"\n")
+    a, b = chance.randrange(len(lines)), chance.randrange(len(lines))
+    if chance.random() < 0.5:
+        lines[a], lines[b] = lines[b], lines[a]
+    else:
+        lines.insert(a, lines[b])
+    return b"\n".join(lines)
+
+
+def _nest(data: bytes, chance: random.Random) -> bytes:
+    at = chance.randrange(len(data) + 1)
+    return data[:at] + chance.choice((b"[", b"{", b'{"a":', b"<a>", b'"', b"x" * 200)) * 1000 + data[at:]
+
+
+FAULTS = (_flip, _flip, _cut, _leave_out, _double, _noise, _number, _number, _number, _integer, _real, _lines, _nest)
+
+
+def fuzzed(reader: Reader, *, seed: int, number: int) -> bytes:
+    """The damaged file of a number: the same for each seed."""
+    chance = random.Random(f"{seed}/{reader.name}/{number}")
+    return damaged(chance.choice(_examples(reader)), chance)
+
+
+@cache
+def _examples(reader: Reader) -> list[bytes]:
+    return reader.examples()
+
+
+# The child, and who watches it
+
+
+def survive(reader: Reader, data: bytes, folder: Path) -> str:
+    """Read a file; "" where it was read or refused in words, else what went wrong."""
+    from musclefit.errors import MusclefitError
+
+    path = folder / f"file{reader.ending}"
+    path.write_bytes(data)
+    began = time.process_time()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            reader.read(path)
+    except MusclefitError:
+        pass
+    except MemoryError:
+        return "over 1 GiB"
+    except Exception as error:  # what no reader may let through
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return f"uncaught {type(error).__name__}: {str(error)[:120]} ({Path(place.filename).name}:{place.lineno})"
+    took = time.process_time() - began
+    return f"over {CPU_S:g} s ({took:.1f} s)" if took > CPU_S else ""
+
+
+def _child(name: str, seed: int, begin: int, end: int) -> None:
+    reader = next(r for r in READERS if r.name == name)
+    _examples(reader)
+    with tempfile.TemporaryDirectory() as folder:
+        survive(reader, _examples(reader)[0], Path(folder))  # imports what it needs before memory is counted
+        taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY_BYTES,) * 2)
+        for number in range(begin, end):
+            print(f"{number}", flush=True)
+            problem = survive(reader, fuzzed(reader, seed=seed, number=number), Path(folder))
+            if problem:
+                print(f"{number} {problem}", flush=True)
+    print("done", flush=True)
+
+
+@dataclass
+class Outcome:
+    """What a reader survived: how many files, and those that it did not, by their number."""
+
+    files: int = 0
+    cpu_s: float = 0.0
+    problems: dict[int, str] = field(default_factory=dict)
+
+
+def campaign(reader: Reader, *, files: int, seed: int) -> Outcome:
+    """Have children read the damaged files numbered from 0, a new child after each death or hang."""
+    outcome, begin = Outcome(files), 0
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    while begin < files:
+        asked = ["--child", reader.name, "--seed", str(seed), "--range", str(begin), str(files)]
+        command = [sys.executable, __file__, *asked]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+            last, done = begin - 1, False
+            for line in _said(child):
+                word, _, problem = line.partition(" ")
+                done = word == "done"
+                if word.isdigit():
+                    last = int(word)
+                if problem:
+                    outcome.problems[last] = problem
+            if done:
+                break
+            hung = child.poll() is None
+            child.kill()
+            last_words = child.stderr.read()[-300:].strip() if child.stderr else ""
+            outcome.problems[max(last, 0)] = "hung" if hung else f"died with code {child.wait()}: {last_words}"
+            begin = last + 1
+            if last < 0:
+                raise RuntimeError(f"{reader.name}: no good file could be read: {last_words}")
+    outcome.cpu_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+    return outcome
+
+
+def _said(child: subprocess.Popen[str]) -> Iterator[str]:
+    """The lines of a child, until it ends or is silent for too long."""
+    assert child.stdout is not None
+    while select.select([child.stdout], [], [], SILENT_S)[0]:
+        line = child.stdout.readline()
+        if not line:
+            child.wait()
+            return
+        yield line.strip()
+
+
+def main() -> int:
+    """Run the campaign."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--files", type=int, default=2700, help="over all readers together")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--reader", default="", help="only readers whose name holds this")
+    parser.add_argument("--child", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--range", type=int, nargs=2, default=(0, 0), help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.child:
+        _child(given.child, given.seed, *given.range)
+        return 0
+    chosen = [reader for reader in READERS if given.reader in reader.name]
+    total, failed = 0, 0
+    for reader in chosen:
+        outcome = campaign(reader, files=-(-given.files // len(chosen)), seed=given.seed)
+        total, failed = total + outcome.files, failed + len(outcome.problems)
+        print(f"{reader.name}: {outcome.files} files, {len(outcome.problems)} not survived, {outcome.cpu_s:.0f} CPU s")
+        for number, problem in sorted(outcome.problems.items())[:20]:
+            print(f"    {number}: {problem}", flush=True)
+    print(f"seed {given.seed}: {total} files over {len(chosen)} readers, {failed} not survived")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -54,6 +54,8 @@ def read_volume(path: Path) -> Volume:
     """
     nibabel = _nibabel()
     _require_ending(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such image; correct the path")
     stored = read_bytes(path)
     try:
         image = nibabel.load(path)

@@ -1,8 +1,8 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
-`fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export` and `init`.
-They and what they give back are stable, as are the other names of this module; what is in the rooms below may change
+`fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export`,
+`architecture` and `init`. They and what they give back are stable, as are the other names of this module; what is in the rooms below may change
 with any version.
 """
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from musclefit.pipeline.retarget import retarget
     from musclefit.rig.handles import Handles, StraightPath
     from musclefit.vocabulary import Claim, Unit
+    from musclefit.workflows.architecture import architecture
     from musclefit.workflows.cage import cage
     from musclefit.workflows.check import check
     from musclefit.workflows.export import export
@@ -70,6 +71,7 @@ _HOMES = {
     "TissueKind": "anatomy.model",
     "TriMesh": "geometry.meshes",
     "Unit": "vocabulary",
+    "architecture": "workflows.architecture",
     "cage": "workflows.cage",
     "check": "workflows.check",
     "export": "workflows.export",
@@ -123,6 +125,7 @@ __all__ = [
     "TriMesh",
     "Unit",
     "__version__",
+    "architecture",
     "cage",
     "check",
     "export",

@@ -19,6 +19,7 @@ from rich.console import Console
 
 from musclefit._version import __version__
 from musclefit.anatomy.model import TissueKind
+from musclefit.cli.architecture import architecture
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
 from musclefit.cli.fit_body import fit_body
@@ -199,6 +200,7 @@ app.command(export, sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
 app.command(joint_range, name="joint-range", sort_key=7)
+app.command(architecture, sort_key=7)
 app.command(repair, sort_key=3)
 app.command(fit_body, name="fit-body", sort_key=4)
 app.command(cage, sort_key=6)

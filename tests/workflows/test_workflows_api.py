@@ -15,6 +15,7 @@ from musclefit.workflows import progress as watching
 from musclefit.workflows.progress import TimedStages, watched
 
 COMMANDS = (
+    "architecture",
     "run",
     "sequence",
     "check",

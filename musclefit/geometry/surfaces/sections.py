@@ -156,6 +156,23 @@ def sections_along(surface: TriMesh, *, count: int = SECTIONS) -> Sections:
     )
 
 
+def position_along(surface: TriMesh) -> Float:
+    """(n,) for each vertex the share of the surface's area that lies before it along its length, 0 to 1.
+
+    Raises
+    ------
+    MeshError
+        A surface without area.
+    """
+    along = _along(surface)
+    area = np.zeros(len(along))
+    np.add.at(area, surface.faces, (_face_areas(surface) / 3.0)[:, None])
+    order = np.argsort(along)
+    position = np.empty(len(along))
+    position[order] = np.cumsum(area[order]) / area.sum()
+    return position
+
+
 def _level_curve(crossed: Int, above: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[Int, Int]:
     """Edges that a level crosses, two of each face in row, and (s, 2) segments between their unique numbers."""
     alone_above = above[crossed].sum(axis=1) == 1

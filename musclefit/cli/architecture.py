@@ -1,0 +1,95 @@
+"""The command that finds attachments, fibres and moment arms of a rig's muscles, and carries them by its map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from musclefit.workflows.progress import TimedStages
+
+if TYPE_CHECKING:
+    from musclefit.workflows.architecture import Architecture
+
+PASSED = 0
+
+
+def architecture(
+    rig: Annotated[str, Parameter(help="A rig file, or the name of a built-in rig.")],
+    /,
+    *,
+    out: Annotated[
+        Path | None,
+        Parameter(
+            name="--out",
+            help="Folder for the results; a former one there is replaced. Without it: musclefit-out/ and the "
+            "rig's name with -architecture.",
+        ),
+    ] = None,
+    attachments: Annotated[
+        Path | None,
+        Parameter(
+            name="--attachments",
+            help="CSV of ends that are known: muscle, end (origin or insertion), bone; optionally within_mm, vertices.",
+        ),
+    ] = None,
+    within_mm: Annotated[
+        float | None,
+        Parameter(name="--within-mm", help="How close a muscle is to bone where it holds on; chosen without it."),
+    ] = None,
+    muscles: Annotated[
+        tuple[str, ...],
+        Parameter(name="--muscles", help="Name or shell-style pattern of the muscles to look at. May be given again."),
+    ] = (),
+    rest: Annotated[bool, Parameter(name="--rest", negative="", help="Stay at rest: nothing is deformed.")] = False,
+    set: Annotated[  # noqa: A002 (the option's name)
+        tuple[str, ...],
+        Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
+    ] = (),
+    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+) -> int:
+    """Find where muscles hold on to bone, how their fibres run and their moment arms; carry them by the rig's map."""
+    from musclefit.workflows.architecture import architecture as find
+
+    folder = out or Path("musclefit-out") / f"{Path(rig).stem}-architecture"
+    with TimedStages(shown=not quiet) as stages:
+        found = find(
+            rig,
+            out=folder,
+            overrides=set,
+            attachments=attachments,
+            within_mm=within_mm,
+            muscles=muscles,
+            deform=not rest,
+            progress=stages,
+        )
+    if not quiet:
+        _print(found)
+    return PASSED
+
+
+def _print(found: Architecture) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(Text(found.said(), style="bold"))
+    console.print(Text(f"Attachments: within {found.within_mm:.3g} mm of bone. {found.claim}."))
+    carried = {row.name: row for row in found.carried}
+    width = max((len(row.name) for row in found.muscles), default=0)
+    console.print(Text(f"{'':<{width}}  fibre mm  path mm  pennation deg  PCSA mm2  stretch (min, mean, max)"))
+    for row in found.muscles:
+        after = carried.get(row.name)
+        stretch = f"{after.stretch_min:.2f} {after.stretch_mean:.3f} {after.stretch_max:.2f}" if after else ""
+        console.print(
+            Text(
+                f"{row.name:<{width}}  {row.fibre_mm:8.1f} {row.path_mm:8.1f}  {row.pennation_deg:13.1f}  "
+                f"{row.pcsa_mm2:8.0f}  {stretch}"
+            )
+        )
+    for row in found.muscles:
+        if row.note:
+            console.print(Text(f"{row.name}: {row.note}"))
+    for name, reason in found.left_out.items():
+        console.print(Text(f"{name}: no fibres: {reason}"))

@@ -1,0 +1,109 @@
+"""Each muscle's own tetrahedra, with an envelope sized to it, so that thin tendons stay whole; knows no fibre.
+
+In the mesh of all tissues one envelope serves bones and tendons alike, and tendons thinner than it are cut.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from musclefit.anatomy.mesh_rules import LayerRules, diagonal_mm
+from musclefit.anatomy.model import Anatomy, Tissue
+from musclefit.geometry.meshes import TetMesh, TriMesh
+from musclefit.geometry.surfaces.sections import sections_along
+from musclefit.meshing.cache import TetCache
+from musclefit.progress import Progress
+
+ENVELOPE_SHARE = 0.02
+"""The envelope, over the side of a square as large as a muscle's thin sections (the lowest tenth of them)."""
+
+EDGE_SHARE = 1.0
+"""The edge length aimed at, over the side of a square as large as a muscle's median section."""
+
+ENVELOPE_FRACTION = 7e-4
+"""The envelope at most, of the muscle's diagonal: that of the mesh of all tissues (`rig.settings.TetSettings`)."""
+
+ROUNDS = 3
+"""Times that a muscle is meshed; after each whose mesh falls apart, or misses an end, the envelope is halved."""
+
+MISSED_ENVELOPES = 3.0
+"""A mesh misses a place of the surface that is farther from it than so many times the first envelope."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MuscleTets:
+    """The tetrahedra of one muscle.
+
+    Parameters
+    ----------
+    name : str
+    mesh : TetMesh
+    envelope_mm, first_envelope_mm : float
+        That of the mesh, and the one that was tried first.
+    pieces, surface_pieces : int
+        Of the tetrahedra, joined by faces, and of the surface.
+    missed_mm : float
+        How far a place of the surface is from the tetrahedra's, at most.
+    volume_share : float
+        Volume of the tetrahedra over that of the surface.
+    """
+
+    name: str
+    mesh: TetMesh
+    envelope_mm: float
+    first_envelope_mm: float
+    pieces: int
+    surface_pieces: int
+    missed_mm: float
+    volume_share: float
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is in as many pieces as its surface, and none of its ends is missing."""
+        return self.pieces <= self.surface_pieces and self.missed_mm <= MISSED_ENVELOPES * self.first_envelope_mm
+
+
+def muscle_tets(muscle: Tissue, cache: TetCache, *, progress: Progress) -> MuscleTets:
+    """Fill one muscle by itself; of several tries the first that is whole, or else the last.
+
+    Parameters
+    ----------
+    muscle : Tissue
+    cache : TetCache
+    progress : Progress
+
+    Raises
+    ------
+    MeshError
+        The surface has no area, or the tetrahedraliser failed.
+    """
+    alone = Anatomy((muscle,), "alone")
+    diagonal = diagonal_mm(alone)
+    edge, envelope = sizes_mm(muscle.surface, diagonal_mm=diagonal)
+    for further in range(ROUNDS):
+        narrower = envelope / 2**further
+        found, _ = cache.tetrahedralise(alone, LayerRules(edge / diagonal, narrower / diagonal), progress=progress)
+        fit = found.fits[0]
+        made = MuscleTets(
+            name=muscle.name,
+            mesh=found.mesh,
+            envelope_mm=narrower,
+            first_envelope_mm=envelope,
+            pieces=fit.pieces or 0,
+            surface_pieces=fit.surface_pieces or 1,
+            missed_mm=math.inf if fit.missed_mm is None else fit.missed_mm,
+            volume_share=fit.volume_mm3 / (fit.surface_mm3 or math.nan),
+        )
+        if made.whole:
+            break
+    return made
+
+
+def sizes_mm(surface: TriMesh, *, diagonal_mm: float) -> tuple[float, float]:
+    """Edge length and envelope for a muscle from its cross-sections, mm."""
+    sides = np.sqrt(sections_along(surface).measure(surface.vertices).areas)
+    edge = min(EDGE_SHARE * float(np.median(sides)), 0.5 * diagonal_mm)
+    return edge, min(ENVELOPE_SHARE * float(np.quantile(sides, 0.1)), ENVELOPE_FRACTION * diagonal_mm)

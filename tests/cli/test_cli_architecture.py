@@ -1,0 +1,74 @@
+"""The command for muscle architecture: tables and fibres of a tiny rig, at rest and carried; bad input refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+from tiny_rigs import drive_by_joints, write_tiny_rig
+
+from musclefit.cli import main
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    made = write_tiny_rig(tmp_path / "rig")
+    drive_by_joints(made)
+    return made
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    with file.open(encoding="utf-8", newline="") as text:
+        return list(csv.DictReader(text))
+
+
+def test_attachments_fibres_and_moment_arms_are_written(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["architecture", str(rig), "--out", str(out), "--within-mm", "8"]) == 0
+    assert "fibres in 1 of 1 muscles, two attachments on bone in 1" in capsys.readouterr().out
+    ends = {row["end"]: row for row in rows(out / "attachments.csv")}
+    assert (ends["origin"]["bone"], ends["insertion"]["bone"]) == ("bone_proximal", "bone_distal")
+    (muscle,) = rows(out / "muscles.csv")
+    assert float(muscle["fibre_mm"]) <= float(muscle["path_mm"]) < 60.0
+    assert float(muscle["pcsa_mm2"]) == pytest.approx(float(muscle["volume_mm3"]) / float(muscle["fibre_mm"]))
+    assert int(muscle["lines_whole"]) >= 0.9 * int(muscle["lines"])
+    (carried,) = rows(out / "carried.csv")
+    assert float(carried["stretch_min"]) <= float(carried["stretch_mean"]) <= float(carried["stretch_max"])
+    assert carried["origin_off_bone_mm"] != ""
+    (arm,) = rows(out / "moment_arms.csv")
+    assert (arm["coordinate"], float(arm["angle_deg"])) == ("elbow", 25.0)
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["claim"].startswith("map sampled")
+    rest, moved = (pv.read(out / name) for name in ("fibres.vtk", "fibres_carried.vtk"))
+    assert rest.n_lines == moved.n_lines == int(muscle["lines"])
+    assert np.linalg.norm(rest.points - moved.points, axis=1).max() > 1.0
+
+
+def test_at_rest_nothing_is_deformed(rig: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["architecture", str(rig), "--rest", "--out", str(out), "--quiet"]) == 0
+    assert rows(out / "carried.csv") == []
+    assert not (out / "fibres_carried.vtk").exists()
+    assert json.loads((out / "report.json").read_text(encoding="utf-8"))["claim"] == "at rest"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--within-mm", "-1"), "within_mm: found -1"),
+        (("--muscles", "biceps*"), "no muscle fits 'biceps*'"),
+        (("--attachments", "none.csv"), "none.csv: the attachments cannot be read"),
+    ],
+)
+def test_bad_input_is_refused_and_nothing_written(
+    options: tuple[str, ...], said: str, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["architecture", str(rig), "--out", str(tmp_path / "out"), *options]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

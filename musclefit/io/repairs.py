@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 
 from musclefit.anatomy.findings import Finding
@@ -15,7 +17,8 @@ from musclefit.anatomy.repair.records import Way
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.io.anatomy import is_repair_report, kind_of, read_surface, surface_files
-from musclefit.io.run_folder import check_writable, file_names, ply_bytes, write_surfaces
+from musclefit.io.folder_locks import held
+from musclefit.io.run_folder import Maker, check_writable, claimed, file_names, ply_bytes, write_surfaces
 from musclefit.meshing.ftetwild import fill
 from musclefit.pipeline.repair import RawTissue, RepairResult
 from musclefit.progress import Progress
@@ -83,12 +86,26 @@ def check_target(source: Path, target: Path) -> None:
     if real == given or given.is_relative_to(real) or (source.is_dir() and real.is_relative_to(given)):
         raise InputError(f"{target} is, holds or lies in what is to be repaired ({source}); name another place")
     if not _is_one_file(source, target):
-        check_writable(target)
+        check_writable(target, by=Maker.REPAIR)
         return
     if target.is_dir():
         raise InputError(f"{target} is a folder; name a file that does not exist yet")
     if target.exists() and not is_repair_report(_report_path(target)):
         raise InputError(f"{target} is there already, and no repair wrote it; name another file")
+
+
+@contextmanager
+def claimed_target(source: Path, target: Path | None) -> Iterator[None]:
+    """Hold the folder or the file that a repair writes to; see `musclefit.io.run_folder.claimed`."""
+    if target is None or not _is_one_file(source, target):
+        with claimed(target, by=Maker.REPAIR):
+            yield
+        return
+    with held(target):
+        for path in (target, _report_path(target)):
+            for partial in path.parent.glob(f".{escape(path.name)}.partial-*"):
+                partial.unlink(missing_ok=True)
+        yield
 
 
 def write_repair(target: Path, result: RepairResult, *, files: RawFiles) -> tuple[Path, ...]:

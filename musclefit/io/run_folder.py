@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import unicodedata
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -23,6 +25,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.images.grids import Frame, stated_frame
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TriMesh
+from musclefit.io.folder_locks import held
 from musclefit.io.formats.mrml import SceneModel, scene_text
 from musclefit.report.html import render_html, render_inspection
 from musclefit.report.model import MeshReport, Report
@@ -52,11 +55,45 @@ class DeformedTets:
     vertices: Points
 
 
-def check_writable(folder: Path) -> None:
-    """Refuse, before long work, a folder that a run could not be written to.
+class Maker(StrEnum):
+    """The command that a folder is of."""
 
-    A folder is taken when it does not exist, is empty, or holds a former run of ours, which will be replaced; files in
-    it that the former run did not write are kept.
+    RUN = "run"
+    CHECK = "check"
+    REPAIR = "repair"
+
+
+@contextmanager
+def claimed(folder: Path | None, *, by: Maker) -> Iterator[None]:
+    """Hold a folder for a command until the block ends; what a killed one left beside it is cleared away first.
+
+    Parameters
+    ----------
+    folder : Path or None
+        None where nothing will be written.
+    by : Maker
+
+    Raises
+    ------
+    InputError
+        As `check_writable`; or another process writes into it.
+    """
+    if folder is None:
+        yield
+        return
+    check_writable(folder, by=by)
+    with held(folder):
+        with suppress(OSError):  # what cannot be cleared away is in nobody's way
+            _clear_left_over(_resolved(folder))
+        check_writable(folder, by=by)
+        yield
+
+
+def check_writable(folder: Path, *, by: Maker) -> None:
+    """Refuse, before long work, a folder that a command could not write to.
+
+    A folder is taken when it does not exist, is empty, or holds a former result of the same command, which will be
+    replaced; files in it that the former one did not write are kept.
 
     Raises
     ------
@@ -64,14 +101,14 @@ def check_writable(folder: Path) -> None:
         Something else is there, or nothing can be created beside it.
     """
     try:
-        _require_free(_resolved(folder), folder)
+        _require_free(_resolved(folder), folder, by=by)
     except OSError as error:
         raise InputError(
             f"the output folder {folder} cannot be written ({error.strerror}: {error.filename}); name another"
         ) from error
 
 
-def _require_free(target: Path, folder: Path) -> None:
+def _require_free(target: Path, folder: Path, *, by: Maker) -> None:
     """``check_writable`` for the folder that ``folder`` stands for; what the system refuses is an OSError."""
     if target.exists():
         if not target.is_dir():
@@ -82,7 +119,12 @@ def _require_free(target: Path, folder: Path) -> None:
                 f"the output folder {folder} is {which} and cannot be replaced whole; name a folder inside it"
             )
         if any(target.iterdir()):
-            _former_files(target, folder)
+            made_by = _maker(_former_report(target, folder))
+            if made_by is not by:
+                raise InputError(
+                    f"the output folder {folder} holds the results of musclefit {made_by}, which {by} does not "
+                    "replace; name another folder"
+                )
     trial = _existing_parent(target) / f".{target.name}.trial-{uuid.uuid4().hex}"
     trial.mkdir()
     trial.rmdir()
@@ -140,10 +182,12 @@ def write_run(
         (build / SURFACES).mkdir()
         for tissue, files in zip(deformed, surfaces, strict=True):
             (build / files["ply"]).write_bytes(ply_bytes(tissue.surface, space=stated_frame(deformed.frame)))
-            _save(surface_with_displacements(rest[tissue.name], tissue, frame=deformed.frame), build / files["vtp"])
+            save_whole(
+                surface_with_displacements(rest[tissue.name], tissue, frame=deformed.frame), build / files["vtp"]
+            )
         (build / SCENE).write_text(_scene(deformed, surfaces), encoding="utf-8", errors="backslashreplace")
         if tets is not None:
-            _save(labelled_tets(tets), build / TETS)
+            save_whole(labelled_tets(tets), build / TETS)
         if pictures:
             (build / PICTURES).mkdir()
         for safe, png in zip(captions.values(), pictures.values(), strict=True):
@@ -156,7 +200,7 @@ def write_run(
         page = render_html(report, pictures=pictures, pictures_problem=pictures_problem)
         (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 
-    return _write_folder(folder, fill, {**to_json(report), "surfaces": surfaces})
+    return _write_folder(folder, fill, {**to_json(report), "surfaces": surfaces}, by=Maker.RUN)
 
 
 def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
@@ -166,7 +210,7 @@ def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
         page = render_inspection(report)
         (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 
-    return _write_folder(folder, fill, to_json(report))
+    return _write_folder(folder, fill, to_json(report), by=Maker.CHECK)
 
 
 def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json) -> tuple[Path, ...]:
@@ -177,7 +221,7 @@ def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json)
             (build / name).parent.mkdir(parents=True, exist_ok=True)
             (build / name).write_bytes(data)
 
-    return _write_folder(folder, fill, report)
+    return _write_folder(folder, fill, report, by=Maker.REPAIR)
 
 
 def file_names(names: Sequence[str], *, numbered: bool = False) -> dict[str, str]:
@@ -297,9 +341,9 @@ def write_new_folder(folder: Path, files: Mapping[str, bytes]) -> None:
             (build / name).write_bytes(data)
 
 
-def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json) -> tuple[Path, ...]:
+def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json, *, by: Maker) -> tuple[Path, ...]:
     """Fill a new folder, add the report that lists its files, and put it in place."""
-    check_writable(folder)
+    check_writable(folder, by=by)
     with _replacing(_resolved(folder)) as build:
         fill(build)
         others = sorted(path.relative_to(build).as_posix() for path in build.rglob("*") if path.is_file())
@@ -338,6 +382,11 @@ def _swap(build: Path, target: Path) -> None:
     except BaseException:
         former.rename(target)
         raise
+    _carry_over(former, target, ours=ours)
+
+
+def _carry_over(former: Path, target: Path, *, ours: frozenset[str]) -> None:
+    """Move what a former run did not write into the new folder, and remove the rest of the former one."""
     for path in sorted(former.rglob("*")):
         name = path.relative_to(former)
         kept = target / name
@@ -350,18 +399,46 @@ def _swap(build: Path, target: Path) -> None:
     shutil.rmtree(former)
 
 
-def _former_files(target: Path, folder: Path) -> frozenset[str]:
-    """The files that a former run wrote into a folder that is not empty."""
+def _clear_left_over(target: Path) -> None:
+    """Bring to its end what a killed process began: a former run put aside comes back, half-written folders go."""
+    for home in dict.fromkeys((_existing_parent(target), target.parent)):
+        for path in sorted(home.iterdir()) if home.is_dir() else ():
+            kind = re.fullmatch(rf"\.{re.escape(target.name)}\.(partial|trial|former)-[0-9a-f]{{32}}", path.name)
+            if kind is None or not path.is_dir():
+                continue
+            if kind[1] == "former" and not target.exists():
+                path.rename(target)
+            elif kind[1] == "former" and (path / REPORT_JSON).is_file():
+                _carry_over(path, target, ours=_former_files(path, path))
+            else:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _maker(report: Mapping[str, Any]) -> Maker:
+    """Which command wrote a report."""
+    if "overlaps_resolved" in report:
+        return Maker.REPAIR
+    return Maker.RUN if "baseline" in report else Maker.CHECK
+
+
+def _former_report(target: Path, folder: Path) -> Mapping[str, Any]:
+    """The report of a former run in a folder that is not empty."""
     try:
         former = json.loads((target / REPORT_JSON).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         former = None
     if not isinstance(former, dict) or "schema_version" not in former or not isinstance(former.get("files"), list):
         raise InputError(
             f"the output folder {folder} is not empty and holds no {REPORT_JSON} of a former run; name another "
             "folder, or empty this one"
         )
-    return frozenset(str(name) for name in former["files"] if not PurePosixPath(str(name)).is_absolute())
+    return former
+
+
+def _former_files(target: Path, folder: Path) -> frozenset[str]:
+    """The files that a former run wrote into a folder that is not empty."""
+    files = _former_report(target, folder)["files"]
+    return frozenset(str(name) for name in files if not PurePosixPath(str(name)).is_absolute())
 
 
 def _existing_parent(target: Path) -> Path:
@@ -387,7 +464,7 @@ def _plain_name(name: str) -> str:
     return f"_{plain}" if plain.split(".")[0].upper() in _RESERVED else plain
 
 
-def _save(dataset: Any, path: Path) -> None:
+def save_whole(dataset: Any, path: Path) -> None:
     """Save a VTK dataset; VTK reports a full disk on the screen alone, so the end of the file is looked at."""
     dataset.save(path, binary=True)
     whole = path.is_file() and path.read_bytes()[-32:].rstrip().endswith(b"</VTKFile>")

@@ -19,6 +19,7 @@ from musclefit._version import __version__
 from musclefit.anatomy.model import Anatomy
 from musclefit.geometry.arrays import Points
 from musclefit.io.formats.vtk_series import posed_surfaces
+from musclefit.io.run_folder import save_whole
 from musclefit.pipeline.retarget import settings_of
 from musclefit.pipeline.sequence import Frame, at_rest, posed_job
 from musclefit.report.schema import side_to_json
@@ -75,7 +76,7 @@ def write_frame(sequence: Path, frame: Frame, *, job: Job, cpu_s: Mapping[str, f
             np.save(data, np.asarray(frame.anatomy.vertices()), allow_pickle=False)
             (build / VERTICES).write_bytes(data.getvalue())
             rest, posed = frame.surfaces or (job.anatomy, frame.anatomy)
-            posed_surfaces(rest, posed, time_s=frame.pose.time_s).save(build / SURFACES, binary=True)
+            save_whole(posed_surfaces(rest, posed, time_s=frame.pose.time_s), build / SURFACES)
         record = _record(frame, job=job, cpu_s=cpu_s)
         record["files"] = {path.name: _digest(path.read_bytes()) for path in sorted(build.iterdir())}
         record["sha256"] = _digest(_canonical(record))
@@ -118,8 +119,11 @@ def read_frame(sequence: Path, number: int, *, key: str) -> StoredFrame | str:
 
 def clear_partial(sequence: Path) -> None:
     """Remove what an interrupted run left half-written."""
-    for folder in (sequence / FRAMES).glob(".*.partial-*"):
-        shutil.rmtree(folder, ignore_errors=True)
+    for path in (*sequence.glob(".*.partial-*"), *sequence.glob("*/.*.partial-*")):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def rest_distance(anatomy: Anatomy, rest: Anatomy) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 from musclefit.anatomy.model import Anatomy
 from musclefit.io.anatomy import read_anatomy
 from musclefit.io.provenance import measured
-from musclefit.io.run_folder import check_writable, write_inspection
+from musclefit.io.run_folder import Maker, claimed, write_inspection
 from musclefit.pipeline.inspect import inspect
 from musclefit.progress import Progress
 from musclefit.report.model import MeshReport
@@ -70,14 +70,13 @@ def check(
     InputError, MeshError
         Files that cannot be read.
     """
-    if out is not None:
-        check_writable(Path(out))
-    unit, files = word(Unit, units, what="units"), paths_given(paths)
-    with watched(progress) as stages:
-        source = files[0] if len(files) == 1 and files[0].is_dir() else files
-        read = read_anatomy(source, units=unit, kinds=kinds_given(kinds), progress=stages)
-        found = inspect(read.anatomy, findings=read.findings, title=str(files[0]), progress=stages)
-    report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
-    if out is not None:
-        write_inspection(Path(out), report)
+    with claimed(None if out is None else Path(out), by=Maker.CHECK):
+        unit, files = word(Unit, units, what="units"), paths_given(paths)
+        with watched(progress) as stages:
+            source = files[0] if len(files) == 1 and files[0].is_dir() else files
+            read = read_anatomy(source, units=unit, kinds=kinds_given(kinds), progress=stages)
+            found = inspect(read.anatomy, findings=read.findings, title=str(files[0]), progress=stages)
+        report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
+        if out is not None:
+            write_inspection(Path(out), report)
     return Checked(read.anatomy, report, None if out is None else Path(out))

@@ -12,7 +12,7 @@ from musclefit.anatomy.repair.records import RepairSettings
 from musclefit.anatomy.repair.resolutions import Choice, Rule
 from musclefit.errors import InputError
 from musclefit.io.provenance import measured
-from musclefit.io.repairs import check_target, read_raw, tetrahedra, write_repair
+from musclefit.io.repairs import check_target, claimed_target, read_raw, tetrahedra, write_repair
 from musclefit.pipeline.repair import repair as repaired
 from musclefit.progress import Progress
 from musclefit.report.repairs import RepairReport
@@ -119,19 +119,20 @@ def repair(
     if out is not None:
         check_target(Path(source), Path(out))
     unit = word(Unit, units, what="units")
-    with watched(progress) as stages:
-        files = read_raw(Path(source), units=unit, kinds=kinds_given(kinds), progress=stages)
-        result = repaired(
-            files.tissues,
-            settings=settings,
-            rule=taking,
-            choice=choosing,
-            filler=None if local_only else tetrahedra,
-            title=str(source),
-            findings=files.findings,
-            progress=stages,
-        )
-    known = measured(stages.seconds, provenance={"input_sha256": dict(files.hashes)})
-    result = replace(result, report=replace(result.report, **known))
-    written = () if out is None or not write else write_repair(Path(out), result, files=files)
+    with claimed_target(Path(source), None if out is None or not write else Path(out)):
+        with watched(progress) as stages:
+            files = read_raw(Path(source), units=unit, kinds=kinds_given(kinds), progress=stages)
+            result = repaired(
+                files.tissues,
+                settings=settings,
+                rule=taking,
+                choice=choosing,
+                filler=None if local_only else tetrahedra,
+                title=str(source),
+                findings=files.findings,
+                progress=stages,
+            )
+        known = measured(stages.seconds, provenance={"input_sha256": dict(files.hashes)})
+        result = replace(result, report=replace(result.report, **known))
+        written = () if out is None or not write else write_repair(Path(out), result, files=files)
     return Repair(result.anatomy, result.report, written)

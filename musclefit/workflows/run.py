@@ -21,7 +21,7 @@ from musclefit.flow.bones import moving_together, poses_on_the_way
 from musclefit.flow.deformation import Deformation
 from musclefit.io.provenance import measured
 from musclefit.io.rigs import read_rig
-from musclefit.io.run_folder import DeformedTets, check_writable, write_run
+from musclefit.io.run_folder import DeformedTets, Maker, claimed, write_run
 from musclefit.meshing.cache import CACHE_FINDING, TetCache, TetPlan, default_limit_mb
 from musclefit.pipeline.intermediate_states import states
 from musclefit.pipeline.retarget import Outcome, Retargeting, retarget
@@ -155,31 +155,32 @@ def run(
     RigError, LandmarkError, MeshError, InputError
         Input that cannot be used, before long work; the message names it, the value found and the way out.
     """
-    if out is not None:
-        check_writable(Path(out))
-    overrides = (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
-    with watched(progress) as stages:
-        job = read_rig(rig_given(rig), overrides=overrides, points=[Path(path) for path in points], progress=stages)
-        for finding in job.findings:
-            if finding.code in TOLD_BEFORE:
-                stages.say(finding.message)
-        plan = planned_tets(job)
-        if plan is not None:
-            stages.say(plan.in_words)
-
-        def fill(progress: Progress) -> TetAnatomy | None:
-            tets = prepared_tets(job, progress=progress)
-            for finding in tets.findings if tets is not None else ():
-                if finding.code == CACHE_FINDING:
+    with claimed(None if out is None else Path(out), by=Maker.RUN):
+        overrides = (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
+        with watched(progress) as stages:
+            job = read_rig(rig_given(rig), overrides=overrides, points=[Path(path) for path in points], progress=stages)
+            for finding in job.findings:
+                if finding.code in TOLD_BEFORE:
                     stages.say(finding.message)
-            return tets
+            plan = planned_tets(job)
+            if plan is not None:
+                stages.say(plan.in_words)
 
-        with Beside(fill, progress=stages.in_another_thread()) as tets_beside:
-            made = retarget(job, tets=tets_beside, progress=tets_beside.while_well(stages))
-        if out is None:
-            known = measured(stages.seconds, provenance=made.report.provenance)
-            return Run(made, replace(made.report, **known))
-        report = save(made, out, seconds=stages.seconds, intermediate=intermediate, pictures=pictures, progress=stages)
+            def fill(progress: Progress) -> TetAnatomy | None:
+                tets = prepared_tets(job, progress=progress)
+                for finding in tets.findings if tets is not None else ():
+                    if finding.code == CACHE_FINDING:
+                        stages.say(finding.message)
+                return tets
+
+            with Beside(fill, progress=stages.in_another_thread()) as tets_beside:
+                made = retarget(job, tets=tets_beside, progress=tets_beside.while_well(stages))
+            if out is None:
+                known = measured(stages.seconds, provenance=made.report.provenance)
+                return Run(made, replace(made.report, **known))
+            report = save(
+                made, out, seconds=stages.seconds, intermediate=intermediate, pictures=pictures, progress=stages
+            )
     return Run(made, report, Path(out))
 
 

@@ -16,7 +16,9 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically
 from musclefit.io.drives import JointDrive, TransformDrive
+from musclefit.io.folder_locks import held
 from musclefit.io.formats.motions import read_motion
+from musclefit.io.formats.rows import plain_cell
 from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
 from musclefit.io.rigs import read_rig
@@ -266,38 +268,41 @@ def run_sequence(
     folder, progress, poses = Path(folder), progress or Silent(), plan.poses
     if workers < 0:
         raise InputError(f"found {workers} workers; expected at least 1, or 0 for this process")
-    _claim(folder, plan)
-    clear_partial(folder)
-    keys = [frame_key(plan.job, pose) for pose in poses]
-    missing = [p.number for p in poses if isinstance(read_frame(folder, p.number, key=keys[p.number]), str)]
-    cpu_s = {"frames": 0.0, "between frames": 0.0}
-    steps = [least_steps(posed_job(plan.job, pose)) for pose in poses]
-    missing = longest_first(missing, steps)
-    with Pool(workers, prepare=prepare, given=(plan.job, poses, folder.resolve())) as pool:
-        cpu_s["frames"] = _run(pool, make, missing, "frames", progress, done=len(poses) - len(missing))
-        stored = [_require(read_frame(folder, p.number, key=keys[p.number]), p) for p in poses]
-        if between:
-            asked = [k for k in range(len(poses) - 1) if all(stored[j].vertices_sha256 for j in (k, k + 1))]
-            todo = [k for k in asked if (read := read_between(folder, k)) is None or read.problem]
-            todo = longest_first(todo, steps)
-            cpu_s["between frames"] = _run(pool, examine, todo, "between frames", progress, done=len(asked) - len(todo))
-    summaries = tuple(frame.summary for frame in stored)
-    report = SequenceReport(
-        title=plan.job.rig.title,
-        resampling=plan.resampling,
-        frames=summaries,
-        between=_between(folder, summaries) if between else (),
-        limits={k: None if v is None else float(v) for k, v in plan.job.rig.limits.numbers.items()},
-        cpu_s={name: round(seconds, 2) for name, seconds in cpu_s.items()},
-        provenance={
-            "versions": versions(),
-            "input_sha256": dict(plan.job.hashes),
-            "settings": _plain(settings_of(plan.job)),
-            "motion": plan.motion.source,
-            "workers": workers,
-        },
-    )
-    _write_tables(folder, report, stored)
+    with held(folder):
+        _claim(folder, plan)
+        clear_partial(folder)
+        keys = [frame_key(plan.job, pose) for pose in poses]
+        missing = [p.number for p in poses if isinstance(read_frame(folder, p.number, key=keys[p.number]), str)]
+        cpu_s = {"frames": 0.0, "between frames": 0.0}
+        steps = [least_steps(posed_job(plan.job, pose)) for pose in poses]
+        missing = longest_first(missing, steps)
+        with Pool(workers, prepare=prepare, given=(plan.job, poses, folder.resolve())) as pool:
+            cpu_s["frames"] = _run(pool, make, missing, "frames", progress, done=len(poses) - len(missing))
+            stored = [_require(read_frame(folder, p.number, key=keys[p.number]), p) for p in poses]
+            if between:
+                asked = [k for k in range(len(poses) - 1) if all(stored[j].vertices_sha256 for j in (k, k + 1))]
+                todo = [k for k in asked if (read := read_between(folder, k)) is None or read.problem]
+                todo = longest_first(todo, steps)
+                cpu_s["between frames"] = _run(
+                    pool, examine, todo, "between frames", progress, done=len(asked) - len(todo)
+                )
+        summaries = tuple(frame.summary for frame in stored)
+        report = SequenceReport(
+            title=plan.job.rig.title,
+            resampling=plan.resampling,
+            frames=summaries,
+            between=_between(folder, summaries) if between else (),
+            limits={k: None if v is None else float(v) for k, v in plan.job.rig.limits.numbers.items()},
+            cpu_s={name: round(seconds, 2) for name, seconds in cpu_s.items()},
+            provenance={
+                "versions": versions(),
+                "input_sha256": dict(plan.job.hashes),
+                "settings": _plain(settings_of(plan.job)),
+                "motion": plan.motion.source,
+                "workers": workers,
+            },
+        )
+        _write_tables(folder, report, stored)
     return report
 
 
@@ -387,6 +392,12 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         known = _read_plan(folder)
         changed = [key for key in ("interpolation", "frames", "motion_sha256") if known.get(key) != ours[key]]
+        former = Path(str(known.get("rig", plan.job.source)))
+        if former.name != Path(plan.job.source).name:
+            raise InputError(
+                f"{folder} holds a sequence of another rig ({former}, here {plan.job.source}); name another folder, or "
+                "remove it"
+            )
         if changed:
             raise InputError(
                 f"{folder} holds another sequence (differing: {', '.join(changed)}); name another folder, or remove it"
@@ -418,7 +429,8 @@ def _write_tables(folder: Path, report: SequenceReport, stored: Sequence[StoredF
         ),
     )
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(measures_table(report.made))
+    rows = [[plain_cell(cell) for cell in row] for row in measures_table(report.made)]
+    csv.writer(text, lineterminator="\n").writerows(rows)
     write_atomically(folder / MEASURES, text.getvalue())
     write_atomically(folder / REPORT_JSON, json.dumps(sequence_to_json(report), indent=1, allow_nan=False, default=str))
 

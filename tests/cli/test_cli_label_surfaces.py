@@ -41,5 +41,5 @@ def test_tables_of_labels_are_read_strictly(tmp_path):
         table.write_text(text)
         with pytest.raises(InputError, match=message):
             read_label_names(table)
-    with pytest.raises(InputError, match="none.csv: cannot be read"):
+    with pytest.raises(InputError, match=r"none\.csv: cannot be read"):
         read_label_names(tmp_path / "none.csv")

@@ -259,7 +259,7 @@ def test_a_cut_off_vtk_file_is_noticed(tmp_path):
             path.write_bytes(b"<VTKFile> and then the disk was full")
 
     with pytest.raises(OSError, match=r"a\.vtp was not written whole"):
-        outputs._save(Cut(), tmp_path / "a.vtp")
+        outputs.save_whole(Cut(), tmp_path / "a.vtp")
 
 
 @pytest.mark.parametrize("content", [None, "{}", "not json", '{"schema_version": 1}', "[]"])

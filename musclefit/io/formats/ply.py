@@ -281,7 +281,7 @@ class _Ascii:
     def _lists_alike(self, element: _Element) -> dict[str, _Column] | None:
         (p,) = element.properties
         first = self._words[self._at]
-        width = int(first) + 1 if first.isdigit() else 0
+        width = int(first) + 1 if first.isdigit() and len(first) < 10 else 0
         block = self._words[self._at : self._at + element.rows * width]
         if not width or len(block) < element.rows * width or any(word != first for word in block[::width]):
             return None

@@ -92,6 +92,20 @@ class Rows:
         return values
 
 
+def plain_cell(cell: object) -> object:
+    """A cell of a table that is written: control characters escaped, and no text that a spreadsheet would run."""
+    if not isinstance(cell, str):
+        return cell
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in cell)
+    if text[:1] not in ("=", "+", "-", "@"):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
+
+
 def csv_lines(text: str, path: Path, *, delimiter: str) -> list[tuple[int, tuple[str, ...]]]:
     """The rows that are not blank, each with its line number, from 1."""
     reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)

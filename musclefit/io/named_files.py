@@ -56,9 +56,16 @@ def resolve_data(text: str, *, folder: Path, source: str, key: str) -> Path:
             "write the rest out"
         )
     resolved = Path(os.path.normpath(folder.absolute() / expanded))
-    if not resolved.exists() and not set("*?[") & set(resolved.name):
+    if not _is_there(resolved) and not set("*?[") & set(resolved.name):
         raise RigError(f"{source}: {key}: {resolved} does not exist (written as {text!r}; {hint})")
     return resolved
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name longer than the system takes
+        return False
 
 
 @dataclass(slots=True)

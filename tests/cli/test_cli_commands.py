@@ -354,7 +354,7 @@ def test_a_run_that_cannot_be_written_keeps_the_former_one(
 ) -> None:
     main(["run", str(rig), "--out", str(out), "--quiet"])
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    monkeypatch.setattr(outputs, "_save", failure)
+    monkeypatch.setattr(outputs, "save_whole", failure)
     assert main(["run", str(rig), "--out", str(out), "--quiet", "--set", "deformer.kernel=r"]) == code
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert [path.name for path in out.parent.iterdir()] == ["result"]

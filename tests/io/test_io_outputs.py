@@ -22,7 +22,15 @@ from musclefit.errors import InputError
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.io import run_folder as outputs
 from musclefit.io.anatomy import read_anatomy
-from musclefit.io.run_folder import DeformedTets, check_writable, file_names, ply_bytes, write_inspection, write_run
+from musclefit.io.run_folder import (
+    DeformedTets,
+    Maker,
+    check_writable,
+    file_names,
+    ply_bytes,
+    write_inspection,
+    write_run,
+)
 from musclefit.report.html import PNG_SIGNATURE
 from musclefit.report.model import CONVERGED, MeshReport, Report, Side, TissueSummary
 from musclefit.report.schema import report_schema
@@ -215,7 +223,7 @@ def test_a_second_run_replaces_the_first_and_keeps_what_is_not_ours(tmp_path):
     assert list(tmp_path.iterdir()) == [folder]
 
 
-@pytest.mark.parametrize("broken", ["_save", "render_html", "to_json", "ply_bytes"])
+@pytest.mark.parametrize("broken", ["save_whole", "render_html", "to_json", "ply_bytes"])
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
 def test_a_failure_in_the_middle_leaves_nothing(tmp_path, monkeypatch, broken, error):
     def fail(*arguments, **named):
@@ -269,7 +277,7 @@ def test_a_folder_of_somebody_else_is_refused_and_untouched(tmp_path, content):
     (folder / "chapter.txt").write_text("years of work")
     if content is not None:
         (folder / "report.json").write_text(content)
-    for attempt in (lambda: check_writable(folder), lambda: _write(folder)):
+    for attempt in (lambda: check_writable(folder, by=Maker.RUN), lambda: _write(folder)):
         with pytest.raises(InputError, match=r"thesis is not empty .* name another folder"):
             attempt()
     assert (folder / "chapter.txt").read_text() == "years of work"
@@ -291,14 +299,14 @@ def test_folders_that_cannot_be_are_refused_at_once(tmp_path, monkeypatch):
     file = tmp_path / "file"
     file.write_text("x")
     with pytest.raises(InputError, match="is a file"):
-        check_writable(file)
+        check_writable(file, by=Maker.RUN)
     with pytest.raises(InputError, match="cannot be written"):
-        check_writable(file / "under" / "it")
+        check_writable(file / "under" / "it", by=Maker.RUN)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="current folder"):
-        check_writable(Path())
+        check_writable(Path(), by=Maker.RUN)
     with pytest.raises(InputError, match="mount point"):
-        check_writable(Path("/"))
+        check_writable(Path("/"), by=Maker.RUN)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs POSIX users")
@@ -308,10 +316,10 @@ def test_a_folder_without_permission_is_refused(tmp_path):
     locked.chmod(0o500)
     code = (
         "import os, sys; from pathlib import Path\n"
-        "from musclefit.io.run_folder import check_writable\n"
+        "from musclefit.io.run_folder import Maker, check_writable\n"
         "from musclefit.errors import InputError\n"
         "os.geteuid() == 0 and os.seteuid(65534)\n"
-        "try:\n    check_writable(Path(sys.argv[1]))\n"
+        "try:\n    check_writable(Path(sys.argv[1]), by=Maker.RUN)\n"
         "except InputError as error:\n    print(error)\n"
     )
     ran = subprocess.run(
@@ -327,7 +335,7 @@ def test_fitting_folders_are_left_as_they_are(tmp_path):
     empty.mkdir()
     _write(tmp_path / "former")
     for folder in (tmp_path / "new", tmp_path / "a" / "b" / "c", empty, tmp_path / "former"):
-        check_writable(folder)
+        check_writable(folder, by=Maker.RUN)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "former"]
 
 

@@ -188,7 +188,7 @@ def _take_nodes(reading: _Reading, options: Mapping[str, str], number: int, rows
     for at, line in rows:
         cells = line.split(",")
         name = cells[0].strip()
-        if not name.isdigit():
+        if not (name.isascii() and name.isdigit()):
             raise lines.error(at, f"a node's number is {name!r}; expected a whole number before the first comma")
         try:
             place = [number_in(cell) for cell in (*cells[1:4], "", "")[:3]]
@@ -224,7 +224,7 @@ def _add(elements: ElementTable, kind: str, part: str, row: Sequence[str], lines
     if shape is None:
         elements.skip(f"of type {kind or 'not stated'}")
         return
-    if not all(cell.isdigit() for cell in row):
+    if not all(cell.isascii() and cell.isdigit() for cell in row):
         raise lines.error(number, f"an element of type {kind} has {', '.join(row)!r}; expected whole numbers")
     prefix = f"{part}." if part else ""
     corners = [f"{prefix}{int(cell)}" for cell in row[1 : 1 + CORNERS[shape[0]]]]

@@ -123,7 +123,7 @@ class _Reader:
 
     def _take_node(self, attributes: Mapping[str, str], end: int) -> None:
         number, text = attributes.get("id", ""), "".join(self._text)
-        if not number.isdigit():
+        if not (number.isascii() and number.isdigit()):
             raise self._error(f"a node's id is {number!r}; expected a whole number")
         cells = text.split(",")
         try:

@@ -25,6 +25,10 @@ STANDOFF = 0.25
 """Of a voxel's edge: at least so far a shell stands off the skin."""
 
 
+GRID_ROUNDING = 1e-3
+"""Of a voxel's edge: how far boxes must stay within voxels to count as inside a shell."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Patches:
     """Pieces of a shell at rest: rectangles, in the plane segments.
@@ -63,8 +67,8 @@ class Patches:
         children = []
         half = 0.5 * self.halves
         for k in range(n):  # pieces normal to axis k: one child for each pair of signs along the others
-            flat = self.only(self.halves[:, k] == 0.0)
-            own = half[self.halves[:, k] == 0.0]
+            normal = np.argmin(self.halves, axis=1) == k
+            flat, own = self.only(normal), half[normal]
             children += [Patches(flat.centres + sign * own, own) for sign in signs[signs[:, k] > 0.0]]
         whole = children[0]
         for more in children[1:]:
@@ -90,7 +94,48 @@ def box_shell(points: Points) -> Patches:
     return Patches(np.concatenate(centres), np.concatenate(halves))
 
 
-def skin_shell(skin: TriMesh, *, voxels: int) -> Patches:
+def point_patches(points: Points) -> Patches:
+    """Single points, (N, n), as pieces without extent."""
+    return Patches(points, np.zeros_like(points))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Shell:
+    """A shell of voxels' faces, and the voxels that are outside of it.
+
+    Parameters
+    ----------
+    patches : Patches
+        The faces.
+    low : (3,) float64, mm
+        Corner of the grid of voxels.
+    edge : float, mm
+    outside : (i, j, k) bool
+        Voxels that are joined to infinity through voxels that hold no surface.
+    """
+
+    patches: Patches
+    low: Float
+    edge: float
+    outside: Bool
+
+    def holds(self, low: Points, high: Points) -> Bool:
+        """(N,) which boxes, (N, 3) their corners, lie inside; a box that touches a voxel outside does not."""
+        counts = np.array(self.outside.shape)
+        first = np.floor((low - self.low) / self.edge - GRID_ROUNDING)
+        last = np.floor((high - self.low) / self.edge + GRID_ROUNDING)
+        within: Bool = np.asarray(np.concatenate([first >= 0, last < counts], axis=1).all(axis=1), dtype=bool)
+        a, b = first[within].astype(int), last[within].astype(int) + 1
+        sums = np.pad(self.outside.astype(np.int64), ((1, 0),) * 3).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2)
+        met = np.zeros(len(a), dtype=np.int64)
+        for ends in np.ndindex(2, 2, 2):
+            corner = np.where(np.array(ends) == 1, b, a)
+            met += (-1) ** (3 - sum(ends)) * sums[tuple(corner.T)]
+        within[within] = met == 0
+        return within
+
+
+def skin_shell(skin: TriMesh, *, voxels: int) -> Shell:
     """The outer surface of all voxels that the skin comes near, ``voxels`` of them along its longest side.
 
     The skin lies in filled voxels. From inside the skin every path to infinity meets the skin, hence a filled voxel,
@@ -102,9 +147,14 @@ def skin_shell(skin: TriMesh, *, voxels: int) -> Patches:
         An edge without its partner, so that the skin has no inside; or no triangles.
     """
     _require_closed(skin)
-    low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
-    edge = float((high - low).max()) / voxels
-    corners = _small_triangles(skin.corners(), 0.5 * edge)
+    corners = skin.corners()
+    return voxel_shell(corners, edge=float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / voxels)
+
+
+def voxel_shell(corners: Float, *, edge: float) -> Shell:
+    """The outer surface of all voxels with sides ``edge``, mm, that triangles, (T, 3, 3), come near."""
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    corners = _small_triangles(corners, 0.5 * edge)
     low = low - (1.5 + STANDOFF) * edge
     counts = np.ceil((high - low) / edge + 1.5 + STANDOFF).astype(int)
     first = np.floor((corners.min(axis=1) - low) / edge - STANDOFF).astype(int)
@@ -114,7 +164,7 @@ def skin_shell(skin: TriMesh, *, voxels: int) -> Patches:
         cell = np.minimum(first + np.array(offset), last)
         filled[tuple(cell.T)] = True
     regions, _ = ndimage.label(~filled)
-    outside = regions == regions[0, 0, 0]
+    outside: Bool = regions == regions[0, 0, 0]
     centres, halves = [], []
     for axis in range(3):
         ahead = np.diff(outside.astype(np.int8), axis=axis) != 0
@@ -122,7 +172,7 @@ def skin_shell(skin: TriMesh, *, voxels: int) -> Patches:
         place[:, axis] += 0.5
         centres.append(low + edge * place)
         halves.append(np.tile(np.where(np.arange(3) == axis, 0.0, 0.5 * edge * (1.0 + 1e-9)), (len(place), 1)))
-    return Patches(np.concatenate(centres), np.concatenate(halves))
+    return Shell(Patches(np.concatenate(centres), np.concatenate(halves)), low, edge, outside)
 
 
 def _small_triangles(corners: Float, size: float) -> Float:

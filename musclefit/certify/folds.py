@@ -26,6 +26,9 @@ StepOf = tuple[StepKind, Field]
 Inside = Callable[[Points], Bool]
 """Which points at rest belong to the body."""
 
+FOLDED_SAMPLES = 16
+"""Points of the body, of those that the step turns inside out, that a proof is tried for before any others."""
+
 ROUNDS = 18
 """Of the pattern search; its stride halves in each round without progress."""
 
@@ -43,27 +46,44 @@ STARTS = 48
 
 
 def find_fold(
-    steps: Sequence[StepOf], number: int, starts: Points, *, stride: float, samples: Points, inside: Inside
+    steps: Sequence[StepOf],
+    number: int,
+    starts: Points,
+    *,
+    stride: float,
+    samples: Points,
+    inside: Inside,
+    surely_inside: Inside,
 ) -> tuple[Fold, ...]:
     """A proved fold of step ``number`` (counted from 0), or nothing.
 
     Descends to places with a negative determinant from ``starts`` (K, n), mm, where the step meets them, and from the
     worst of ``samples`` (N, n), mm, points of the body at rest. The places found are followed back through the steps
-    before to points at rest, which count only when ``inside`` the body. Each is then carried forward in proved balls,
-    and the fold is claimed when the determinant is negative on the whole last ball.
+    before to points at rest, which are tried only when ``inside`` the body, a quick test, and count only when
+    ``surely_inside``, a slow one. Each is then carried forward in proved balls, and the fold is claimed when the
+    determinant is negative on the whole last ball.
     """
     kind, field = steps[number]
     carried = _carried(steps[:number], kind, field, samples)
-    carried = carried[np.isfinite(carried).all(axis=1)]
-    worst = np.argsort(_deciding(kind, field.gradient(carried)))[:STARTS]
-    starts = np.concatenate([starts, carried[worst]])
-    if not len(starts):
-        return ()
+    known = np.isfinite(carried).all(axis=1)
+    carried, samples = carried[known], samples[known]
+    determinants = _deciding(kind, field.gradient(carried))
+    order = np.argsort(determinants, kind="stable")
+    folded = order[determinants[order] < 0.0][:FOLDED_SAMPLES]
+    fold = _first_fold(steps, number, samples[folded], surely_inside)
+    starts = np.concatenate([starts, carried[order[:STARTS]]])
+    if fold or not len(starts):
+        return fold
     places = _descend(kind, field, starts, stride)[:FOLLOWED]
     rest = _back_to_rest(steps[:number], kind, field, places)
-    finite = np.flatnonzero(np.isfinite(rest).all(axis=1))
-    for k in finite[inside(rest[finite])][:CANDIDATES]:
-        fold = prove_fold(steps, number, rest[k : k + 1])
+    rest = rest[np.isfinite(rest).all(axis=1)]
+    return _first_fold(steps, number, rest[inside(rest)][:CANDIDATES], surely_inside)
+
+
+def _first_fold(steps: Sequence[StepOf], number: int, candidates: Points, surely_inside: Inside) -> tuple[Fold, ...]:
+    """The fold at the first of some points at rest at which one is proved; nothing where there is none."""
+    for candidate in candidates[surely_inside(candidates)] if len(candidates) else candidates:
+        fold = prove_fold(steps, number, candidate[None])
         if fold:
             return fold
     return ()

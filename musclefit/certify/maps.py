@@ -24,6 +24,11 @@ the steps before took those around the skin. All this is done for a closed shell
 in place of the skin itself: what is inside the skin is inside the shell.
 
 **Without a skin** the body is the axis-aligned box around the given points.
+
+**Tissues and points outside the skin.** What is delivered need not lie inside the skin. Triangles that are not seen to
+lie inside the shell get shells of their own, and points are balls of radius 0; the hulls hold them all. A then is what
+no path leads to infinity from without crossing the skin or such a triangle, and the points; the arguments above hold
+word for word for several shells, and a point p is in F(B) since a ball of B holds its midpoint.
 """
 
 from __future__ import annotations
@@ -40,17 +45,17 @@ from musclefit.certify.ball_covers import (
     cayley_midpoints,
     explicit_image,
 )
-from musclefit.certify.body_shells import Patches, box_shell, skin_shell
+from musclefit.certify.body_shells import Patches, Shell, box_shell, point_patches, skin_shell, voxel_shell
 from musclefit.certify.boxes import BoxProof, prove
 from musclefit.certify.domains import Hull
-from musclefit.certify.folds import Inside, find_fold
+from musclefit.certify.folds import find_fold
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
 from musclefit.certify.strain import Condition
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.queries.winding import exact_winding_numbers, winding_numbers
 from musclefit.progress import CERTIFY, Progress, Silent, Tick
 from musclefit.vocabulary import Claim, StepKind
 
@@ -76,6 +81,9 @@ MAX_PATCHES = 400_000
 WIDE_BALL = 0.02
 """Of the size of the body: pieces in wider balls are cut."""
 
+WHOLE = 1e-6
+"""How near a whole number an exact winding number must be: on the surface itself, and at holes, it is not."""
+
 WIDEST_BALL = 1e3
 """Times the size of the body: wider covers are given up."""
 
@@ -84,6 +92,8 @@ def certify_map(
     steps: Sequence[tuple[StepKind, Field]],
     skin: TriMesh | Points,
     *,
+    tissues: Sequence[TriMesh] = (),
+    points: Points | None = None,
     max_boxes: int = MAX_BOXES,
     margin_share: float = MARGIN_SHARE,
     progress: Progress | None = None,
@@ -96,6 +106,11 @@ def certify_map(
         First step first.
     skin : TriMesh, or (N, n) float64, mm
         The body's closed surface at rest; or points, and the body is the axis-aligned box around them.
+    tissues : sequence of TriMesh
+        Surfaces that the map moves as well: where they are outside the skin, the claim is made of them and of what
+        they enclose, too.
+    points : (N, n) float64, mm, or None
+        Single points that the map moves as well, inside the skin or outside.
     max_boxes : int
         Budget over all steps. When it is spent on a step that is not proved yet, the claim is UNDECIDED.
     margin_share : float
@@ -121,7 +136,7 @@ def certify_map(
     with (progress or Silent()).stage(CERTIFY) as raw_tick:
         spent, tick = 0, _never_back(raw_tick)
         for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
-            body = _Body.of(skin, voxels=voxels)
+            body = _Body.of(skin, voxels=voxels, tissues=tissues, points=points)
             found, fold = _judge(steps, body, max_boxes=max_boxes - spent, margin_share=margin_share, tick=tick)
             spent += sum(step.boxes_examined for step in found)
             if not found or found[-1].claim is not Claim.UNDECIDED or spent >= max_boxes:
@@ -141,7 +156,15 @@ def _judge(
         step = trial.certificate(proof)
         if step.claim is not Claim.CERTIFIED:
             starts, stride = trial.suspects(proof)
-            fold = find_fold(steps, number, starts, stride=stride, samples=body.samples(), inside=body.inside)
+            fold = find_fold(
+                steps,
+                number,
+                starts,
+                stride=stride,
+                samples=body.samples(),
+                inside=body.inside,
+                surely_inside=body.surely_inside,
+            )
             found.append(replace(step, claim=Claim.REFUTED) if fold else step)
             return tuple(found), fold
         found.append(step)
@@ -154,42 +177,64 @@ def _judge(
 class _Body:
     """The body's surface in pieces at rest, and the balls to which the steps so far take them."""
 
-    def __init__(self, patches: Patches, inside: Inside) -> None:
-        self.patches, self.inside = patches, inside
+    def __init__(self, patches: Patches, parts: Sequence[TriMesh | Points], single: Points) -> None:
+        self.patches, self.parts, self.single = patches, parts, single
         self.cover = Cover(patches.centres, patches.radii())
         self.steps: list[tuple[StepKind, Field]] = []
         self._narrow()
 
     @classmethod
-    def of(cls, skin: TriMesh | Points, *, voxels: int) -> _Body:
-        """The body inside a skin, or the box around points."""
+    def of(cls, skin: TriMesh | Points, *, voxels: int, tissues: Sequence[TriMesh], points: Points | None) -> _Body:
+        """The body inside a skin, or the box around points, with what is outside of it."""
         if isinstance(skin, TriMesh):
-            surface = skin
-            # 0.9: the winding number is off by up to 0.01; pieces of the surface that overlap count more than once.
-            return cls(skin_shell(surface, voxels=voxels), lambda places: winding_numbers(surface, places) > 0.9)
-        points = np.asarray(skin, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points) or not np.isfinite(points).all():
-            raise InputError(
-                f"points have shape {points.shape}; give finite ones of shape (N, 2) or (N, 3), N at least 1"
-            )
-        low, high = points.min(axis=0), points.max(axis=0)
+            shell = skin_shell(skin, voxels=voxels)
+            patches, edge = shell.patches, shell.edge
+            low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
+        else:
+            corners = _finite_points(skin)
+            patches, shell = box_shell(corners), None
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            edge = float((high - low).max()) / voxels
+        n = len(low)
+        parts: list[TriMesh | Points] = [skin if isinstance(skin, TriMesh) else np.array([low, high])]
+        for tissue in tissues:
+            corners = tissue.corners()
+            held = _held(shell, low, high, corners.min(axis=1), corners.max(axis=1))
+            if not held.all():
+                size = float(np.ptp(corners[~held].reshape(-1, n), axis=0).max())
+                patches = patches.joined(voxel_shell(corners[~held], edge=max(edge, size / voxels)).patches)
+                parts.append(tissue)
+        single = np.zeros((0, n)) if points is None or not len(points) else _finite_points(points)
+        single = single[~_held(shell, low, high, single, single)]
+        return cls(patches.joined(point_patches(single)), parts, single)
 
-        def within(places: Points) -> Bool:
-            inside: Bool = ((places >= low) & (places <= high)).all(axis=1)
-            return inside
+    def inside(self, places: Points) -> Bool:
+        """(N,) which places at rest are in the body."""
+        within = np.zeros(len(places), dtype=bool)
+        for part in self.parts:
+            left = np.flatnonzero(~within)
+            within[left] = _within(part, places[left])
+        return within
 
-        return cls(box_shell(points), within)
+    def surely_inside(self, places: Points) -> Bool:
+        """(N,) the same by the exact sum, for few places; the single points are in the body, too."""
+        sure = np.array([bool((self.single == place).all(axis=1).any()) for place in places], dtype=bool)
+        for part in self.parts:
+            sure |= _surely_within(part, places)
+        return sure
 
     def samples(self) -> Points:
-        """Points at rest inside the body: a grid with about ``SAMPLES`` points in its bounding box."""
-        low, high = self.patches.centres.min(axis=0), self.patches.centres.max(axis=0)
-        per_axis = max(2, round(SAMPLES ** (1.0 / len(low))))
-        axes = [np.linspace(low[k], high[k], per_axis) for k in range(len(low))]
-        points = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
-        # On the box's own sides the grid is a rounding outside.
-        points += 1e-6 * (0.5 * (low + high) - points)
-        within: Points = points[self.inside(points)]
-        return within
+        """Points at rest in the body: the single ones, and in each part a grid of its bounding box.
+
+        About ``SAMPLES`` points in the first, and as many in all others together.
+        """
+        found = [self.single]
+        for number, part in enumerate(self.parts):
+            corners = part.vertices if isinstance(part, TriMesh) else part
+            share = SAMPLES if number == 0 else SAMPLES / (len(self.parts) - 1)
+            grid = _grid(corners.min(axis=0), corners.max(axis=0), share)
+            found.append(grid[_within(part, grid)])
+        return np.concatenate(found)
 
     def midpoints(self, field: Field) -> Midpoints:
         """Where a Cayley step has the midpoints of the surface; pieces without a proved one are cut smaller first."""
@@ -241,6 +286,62 @@ class _Body:
         self.cover = explicit_image(field, self.cover) if midpoints is None else cayley_image(field, midpoints)
         self.steps.append((kind, field))
         self._narrow()
+
+
+def _finite_points(points: Points) -> Points:
+    """Points that a body can be made of.
+
+    Raises
+    ------
+    InputError
+    """
+    given = np.asarray(points, dtype=np.float64)
+    if given.ndim != 2 or given.shape[1] not in (2, 3) or not len(given) or not np.isfinite(given).all():
+        raise InputError(f"points have shape {given.shape}; give finite ones of shape (N, 2) or (N, 3), N at least 1")
+    return given
+
+
+def _held(shell: Shell | None, low: Points, high: Points, corner: Points, opposite: Points) -> Bool:
+    """(N,) which boxes are inside a shell, or, without one, inside a box."""
+    if shell is not None:
+        return shell.holds(corner, opposite)
+    held: Bool = np.asarray(((corner >= low) & (opposite <= high)).all(axis=1), dtype=bool)
+    return held
+
+
+def _within(part: TriMesh | Points, places: Points) -> Bool:
+    """(N,) which places are inside a surface, or in a box given by its corners.
+
+    By the fast sum, which is good for a search: what is claimed of a place is claimed by `_surely_within`.
+    """
+    if isinstance(part, TriMesh):
+        return winding_numbers(part, places) > 0.5
+    within: Bool = np.asarray(((places >= part[0]) & (places <= part[1])).all(axis=1), dtype=bool)
+    return within
+
+
+def _surely_within(part: TriMesh | Points, places: Points) -> Bool:
+    """(N,) which places are inside, by the exact sum: a winding number other than 0 of a closed surface.
+
+    From there no path leads to infinity without crossing it. Places on the surface itself, and what a surface with
+    holes half encloses, are not.
+    """
+    if not isinstance(part, TriMesh):
+        return _within(part, places)
+    numbers = exact_winding_numbers(part, places)
+    whole = np.round(numbers)
+    sure: Bool = np.logical_and(np.abs(numbers - whole) < WHOLE, whole != 0.0)
+    return sure
+
+
+def _grid(low: Points, high: Points, count: float) -> Points:
+    """About ``count`` points of a box, its sides included but for a rounding."""
+    per_axis = max(2, round(count ** (1.0 / len(low))))
+    axes = [np.linspace(low[k], high[k], per_axis) for k in range(len(low))]
+    points: Points = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+    # On the box's own sides the grid is a rounding outside.
+    points += 1e-6 * (0.5 * (low + high) - points)
+    return points
 
 
 class _Trial:

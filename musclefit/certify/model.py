@@ -72,12 +72,14 @@ class StepCertificate:
 
 @dataclass(frozen=True, slots=True)
 class MapCertificate:
-    """Whether a composition of steps is one-to-one and orientation keeping on everything inside the skin.
+    """Whether a composition of steps is one-to-one and orientation keeping on everything that it was asked of.
+
+    That is what is inside the skin, and the tissues and points that were given beside it.
 
     Parameters
     ----------
     claim : Claim
-        CERTIFIED: proved for every point inside. REFUTED: proved that orientation is reversed at ``fold``; since one
+        CERTIFIED: proved for every point of it. REFUTED: proved that orientation is reversed at ``fold``; since one
         sign of the Jacobian belongs to a one-to-one map, the map folds (or mirrors the whole body). UNDECIDED: neither.
     margin : float
         Smallest over the steps; a proved lower bound when certified, else a sampled value.
@@ -90,6 +92,8 @@ class MapCertificate:
         Up to the first that could not be certified.
     fold : tuple of Fold
         The counterexample, when refuted; else empty.
+    not_covered : tuple of str
+        Names of what is moved by the map as well, but is no part of the claim.
     """
 
     claim: Claim
@@ -101,6 +105,7 @@ class MapCertificate:
     max_boxes: int
     steps: tuple[StepCertificate, ...]
     fold: tuple[Fold, ...] = ()
+    not_covered: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)

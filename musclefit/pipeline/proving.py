@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -70,10 +72,20 @@ def _proof(made: Made, job: Job, progress: Progress) -> MapCertificate | None:
     if not settings.enabled or not deformation.steps:
         return None
     skin = job.anatomy.skin
-    return certify_map(
+    certified = partial(
+        certify_map,
         [(STEP_KINDS[type(step)], step.field) for step in deformation.steps],
         made.sampled.points if skin is None else skin.surface,
+        tissues=[tissue.surface for tissue in job.anatomy.tissues if skin is None or tissue.name != skin.name],
         max_boxes=settings.max_boxes,
         margin_share=MARGIN_SHARE,
         progress=progress,
     )
+    attached = [file.points for file in job.further]
+    proof = certified(points=np.concatenate(attached) if attached else None)
+    if not attached or proof.claim is not Claim.UNDECIDED:
+        return proof
+    # Points far from the body may be what no proof reaches: then it is made of the body, and says what it leaves out.
+    of_body = certified()
+    names = tuple(file.name for file in job.further)
+    return replace(of_body, not_covered=names) if of_body.claim is Claim.CERTIFIED else proof

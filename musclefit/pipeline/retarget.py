@@ -363,6 +363,7 @@ class _Finisher:
             margin=proof.margin,
             boxes_examined=proof.boxes_examined,
             boxes_left=proof.boxes_left,
+            not_covered=proof.not_covered,
         )
 
     def _bone_field(self, made: Made) -> BoneFieldCheck | None:

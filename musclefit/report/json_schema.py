@@ -233,6 +233,9 @@ def _map() -> Schema:
         "boxes_examined": _count("Boxes of space that the proof examined; 0 where none was tried."),
         "boxes_left": _count("Boxes that it could not decide."),
         "gap_mm": _number("No place of the surfaces is farther from a tested point, mm; null where it is not known."),
+        "not_covered": _list(
+            _text("A file's name."), "Files of attached points that a certified claim does not speak of."
+        ),
     }
     return _record(properties, "Is the map one-to-one?")
 

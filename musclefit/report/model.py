@@ -372,7 +372,16 @@ def _map_checks(found: MapCheck) -> list[Check]:
             next_step=next_steps.FOLDED,
         ),
         Check("map refuted", float(refuted), 0.0, "", found.rule if refuted else "", next_step=next_steps.REFUTED),
+        *_coverage(found),
     ]
+
+
+def _coverage(found: MapCheck) -> list[Check]:
+    """A certified map speaks of everything that is delivered; no check where nothing is claimed or left out."""
+    left = found.not_covered
+    if found.claim is not Claim.CERTIFIED or not left:
+        return []
+    return [Check("outside the proof", float(len(left)), 0.0, "files", left[0], next_step=next_steps.NOT_COVERED)]
 
 
 def _mesh_checks(found: MeshCheck, limits: Limits) -> list[Check]:

@@ -32,6 +32,10 @@ FOLDED = (
 REFUTED = (
     'Set deformer.tested_at = "all-points" and surfaces.longest_edge_mm lower, so that steps near the fold get shorter.'
 )
+NOT_COVERED = (
+    "Leave out the file of points named, or those of its points that are far outside the body: the map is proved for "
+    "the body, and not there."
+)
 
 INVERTED = (
     "Set mesh.refine = true and mesh.move_vertices = true, then mesh.max_rounds and mesh.max_growth higher, or "

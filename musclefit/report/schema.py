@@ -199,6 +199,7 @@ def _map(found: MapCheck) -> Json:
         "boxes_examined": int(found.boxes_examined),
         "boxes_left": int(found.boxes_left),
         "gap_mm": None if found.gap_mm is None else _number(found.gap_mm),
+        "not_covered": list(found.not_covered),
     }
 
 

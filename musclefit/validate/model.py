@@ -25,7 +25,8 @@ class MapCheck:
     ``folded_points`` counts tested points with det of the whole Jacobian <= 0; ``place_mm`` is the worst place at rest.
     The points sample the surfaces: no place of them is farther than ``gap_mm`` from one (None: not known).
     Where a proof was tried, ``boxes_examined`` says how many boxes of space it took and ``boxes_left`` how many stay
-    undecided; ``margin`` is proved when the claim is certified.
+    undecided; ``margin`` is proved when the claim is certified. ``not_covered`` names files of attached points that a
+    certified claim does not speak of.
     """
 
     claim: Claim
@@ -38,6 +39,7 @@ class MapCheck:
     boxes_examined: int = 0
     boxes_left: int = 0
     gap_mm: float | None = None
+    not_covered: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

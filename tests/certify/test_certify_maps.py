@@ -303,7 +303,7 @@ def test_what_cannot_be_certified_is_named() -> None:
 def test_a_shell_holds_its_skin_and_is_closed() -> None:
     """Every point of the skin is further from the shell than the standoff; the shell separates it from far away."""
     skin = sphere(33.0, centre=(5.0, -7.0, 100.0))
-    shell = skin_shell(skin, voxels=20)
+    shell = skin_shell(skin, voxels=20).patches
     edge = 2.0 * shell.halves.max()
     apart = np.abs(shell.centres[:, None] - skin.vertices[None]) - shell.halves[:, None]
     distance = np.linalg.norm(np.maximum(apart, 0.0), axis=2).min(axis=0)
@@ -329,3 +329,90 @@ def test_pieces_of_a_shell_are_covered_by_their_children() -> None:
         apart = np.abs(points[:, None] - children.centres[None]) - children.halves[None]
         assert np.all(apart.max(axis=2).min(axis=1) <= 1e-9)
         np.testing.assert_allclose(children.radii().max(), 0.5 * shell.radii().max(), rtol=1e-9, atol=0)
+
+
+# --- what is delivered outside the skin
+
+
+def far_fold(kind: StepKind = E) -> list[tuple[StepKind, RadialField]]:
+    """A step that folds within some 30 mm of a place 200 mm from the body, and nowhere else."""
+    return [(kind, bump(np.array([0.0, 60.0 if kind is E else 90.0, 0.0]), at=(200.0, 0.0, 0.0)))]
+
+
+@pytest.mark.parametrize("kind", [E, C])
+@pytest.mark.parametrize("centre", [200.0, 45.0])
+def test_a_tissue_outside_the_skin_is_part_of_the_claim(kind: StepKind, centre: float) -> None:
+    """Far away, and partly within the skin, where the fold is not."""
+    field = bump(np.array([0.0, 60.0 if kind is E else 49.0, 0.0]), at=(centre, 0.0, 0.0))
+    skin, muscle = sphere(40.0), sphere(30.0, centre=(centre, 0.0, 0.0))
+    certificate = certify_map([(kind, field)], skin, tissues=[muscle])
+    assert certificate.claim is Claim.REFUTED
+    verify_fold([(kind, field)], np.concatenate([skin.vertices, muscle.vertices]), certificate)
+    assert np.linalg.norm(np.array(certificate.fold[0].place) - (centre, 0.0, 0.0)) < 30.0
+
+
+@pytest.mark.parametrize("kind", [E, C])
+def test_a_single_point_outside_the_skin_is_part_of_the_claim(kind: StepKind) -> None:
+    steps, skin = far_fold(kind), sphere(40.0)
+    assert certify_map(steps, skin).claim is Claim.CERTIFIED
+    folded = np.array([[200.0, 20.0 / np.sqrt(2.0), 0.0]])
+    certificate = certify_map(steps, skin, points=folded)
+    assert certificate.claim is not Claim.CERTIFIED
+    if kind is E:
+        assert certificate.claim is Claim.REFUTED
+        assert certificate.fold[0].place == tuple(folded[0])
+    inside = certify_map(steps, skin, points=skin.vertices[::40] * 0.5)
+    assert inside.claim is Claim.CERTIFIED
+    assert inside.steps[0].domain_high == certify_map(steps, skin).steps[0].domain_high
+
+
+def test_the_domain_holds_tissues_and_points_outside_through_every_step() -> None:
+    rng = np.random.default_rng(8)
+    skin, muscle = sphere(40.0), sphere(12.0, centre=(70.0, 10.0, 0.0))
+    single = rng.uniform(-90.0, 90.0, (20, 3))
+    everything = np.concatenate([skin.vertices, muscle.vertices, single])
+    handles = rng.uniform(-90.0, 90.0, (10, 3))
+    steps = [(kind, RadialBackend("r3").fit(handles, 2.0 * rng.normal(size=handles.shape))) for kind in (C, E, C)]
+    certificate = certify_map(steps, skin, tissues=[muscle], points=single)
+    assert certificate.claim is Claim.CERTIFIED
+    moved = everything
+    for (kind, field), step in zip(steps, certificate.steps, strict=True):
+        after = flow_step(kind, field)(moved)
+        judged = moved if kind is E else 0.5 * (moved + after)
+        assert np.all(judged >= np.array(step.domain_low))
+        assert np.all(judged <= np.array(step.domain_high))
+        moved = after
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_a_fold_is_claimed_of_points_inside_only_however_far_from_the_origin(offset: float) -> None:
+    """A body of 1.3 mm: places beside it once counted as inside, since winding numbers lost all digits."""
+    at = offset + np.array([0.0, 1.9, 0.0])
+    field = bump(np.array([0.0, 1.5, 0.0]), scale=0.3, at=at)
+    left = sphere(0.65, centre=offset + np.zeros(3))
+    right = sphere(0.65, centre=offset + np.array([0.0, 3.8, 0.0]))
+    both = TriMesh(
+        np.concatenate([left.vertices, right.vertices]), np.concatenate([left.faces, right.faces + len(left.vertices)])
+    )
+    assert certify_map([(E, field)], both).claim is Claim.UNDECIDED
+    within = certify_map([(E, bump(np.array([0.0, 1.5, 0.0]), scale=0.3, at=offset + np.zeros(3)))], both)
+    assert within.claim is Claim.REFUTED
+    assert np.linalg.norm(np.array(within.fold[0].place) - offset) < 0.65
+
+
+def test_boxes_inside_a_shell_are_told_from_those_that_reach_out_of_it() -> None:
+    skin = sphere(33.0, centre=(5.0, -7.0, 100.0))
+    shell = skin_shell(skin, voxels=20)
+    assert shell.holds(skin.vertices, skin.vertices).all()
+    rng = np.random.default_rng(1)
+    low = np.array([5.0, -7.0, 100.0]) + rng.uniform(-50.0, 50.0, (500, 3))
+    high = low + rng.uniform(0.0, 20.0, (500, 3))
+    held = shell.holds(low, high)
+    steps = np.linspace(0.0, 1.0, 9)
+    for box in range(500):
+        samples = low[box] + np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3) * (high - low)[box]
+        cells = np.floor((samples - shell.low) / shell.edge).astype(int)
+        known = ((cells >= 0) & (cells < shell.outside.shape)).all(axis=1)
+        out = ~known.all() or shell.outside[tuple(cells[known].T)].any()
+        assert held[box] == (not out)
+    assert 0.05 < held.mean() < 0.95

@@ -103,3 +103,33 @@ def test_a_march_that_nothing_shortens_is_left_as_it_is(monkeypatch: pytest.Monk
     made, _ = proved(only, None, progress=Silent())  # type: ignore[arg-type]
     assert made is only
     assert len(log) == 1
+
+
+FAR = np.array([[900.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize("reaches", [True, False])
+def test_a_proof_is_asked_of_tissues_and_attached_points(reaches: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it does not reach the points, it is made of the body, and says what it leaves out."""
+    asked: list[Any] = []
+
+    def certified(*_: Any, tissues: Any, points: Any = None, **__: Any) -> MapCertificate:
+        asked.append((tissues, points))
+        claim = Claim.CERTIFIED if reaches or points is None else Claim.UNDECIDED
+        return undecided(1, np.zeros(3), claim=claim, margin=0.3)
+
+    monkeypatch.setattr(proving, "certify_map", certified)
+    skin, muscle = (SimpleNamespace(name=name, surface=object()) for name in ("skin", "muscle"))
+    job = SimpleNamespace(
+        rig=SimpleNamespace(certificate=SimpleNamespace(enabled=True, max_boxes=10)),
+        anatomy=SimpleNamespace(skin=skin, tissues=(skin, muscle)),
+        further=(SimpleNamespace(name="markers.trc", points=FAR),),
+    )
+    made = SimpleNamespace(deformed=SimpleNamespace(deformation=two_steps(CayleyStep)))
+    proof = proving._proof(made, job, Silent())  # type: ignore[arg-type]
+    assert proof is not None
+    assert proof.claim is Claim.CERTIFIED
+    assert proof.not_covered == (() if reaches else ("markers.trc",))
+    assert len(asked) == (1 if reaches else 2)
+    assert all(list(tissues) == [muscle.surface] for tissues, _ in asked)
+    np.testing.assert_array_equal(asked[0][1], FAR)

@@ -30,5 +30,32 @@ def winding_numbers(mesh: TriMesh, points: Points) -> Float:
     """
     if not len(points) or not len(mesh.faces):
         return np.zeros(len(points))
-    numbers: Float = igl.fast_winding_number(mesh.vertices, mesh.faces, np.ascontiguousarray(points, dtype=np.float64))
+    vertices, places = _about_the_middle(mesh, points)
+    numbers: Float = igl.fast_winding_number(vertices, mesh.faces, places)
     return numbers
+
+
+def exact_winding_numbers(mesh: TriMesh, points: Points) -> Float:
+    """The same by summing every triangle's solid angle: off by rounding alone, and slow.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    points : (N, 3) float64, mm
+
+    Returns
+    -------
+    (N,) float64
+        Whole numbers for a closed surface, but for points on the surface itself.
+    """
+    if not len(points) or not len(mesh.faces):
+        return np.zeros(len(points))
+    vertices, places = _about_the_middle(mesh, points)
+    numbers: Float = np.atleast_1d(igl.winding_number(vertices, np.asarray(mesh.faces), places))
+    return numbers
+
+
+def _about_the_middle(mesh: TriMesh, points: Points) -> tuple[Points, Points]:
+    """Vertices and points as seen from the surface's middle: the expansions lose digits far from the origin."""
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    return np.ascontiguousarray(mesh.vertices - middle), np.ascontiguousarray(points - middle, dtype=np.float64)

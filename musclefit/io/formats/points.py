@@ -21,6 +21,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError
 from musclefit.geometry.arrays import Points, frozen
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.landmarks import read_landmarks
@@ -65,16 +66,19 @@ def read_points(path: Path, *, units: Unit) -> AttachedPoints:
 
 
 def outside_findings(further: Sequence[AttachedPoints], anatomy: Anatomy) -> tuple[Finding, ...]:
-    """A finding for each file with points outside the skin: they are moved too, but no certificate holds there."""
+    """A finding for each file with points outside the skin, and how far: the map is less known there."""
     if anatomy.skin is None:
         return ()
     found = []
     for file in further:
-        outside = int((winding_numbers(anatomy.skin.surface, file.points) < INSIDE).sum())
-        if outside:
+        skin = anatomy.skin.surface
+        outside = np.flatnonzero(winding_numbers(skin, file.points) < INSIDE)
+        if outside.size:
+            off = nearest_places(file.points[outside], skin).distances
             message = (
-                f"{file.name}: {outside} of {len(file.points)} points are outside the skin; they are taken along, but "
-                "the map is judged inside it only"
+                f"{file.name}: {len(outside)} of {len(file.points)} points are outside the skin, up to "
+                f"{off.max():.3g} mm from it (point {outside[np.argmax(off)] + 1}); they are taken along, and a map "
+                "that is certified for the body but not for them does not pass"
             )
             found.append(Finding(file.name, "points-outside-skin", message))
     return tuple(found)

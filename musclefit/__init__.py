@@ -2,8 +2,8 @@
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
 `fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export`,
-`architecture` and `init`. They and what they give back are stable, as are the other names of this module; what is in the rooms below may change
-with any version.
+`architecture` and `init`. They and what they give back are stable, as are the other names of this module; what is in
+the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module

@@ -21,6 +21,7 @@ from musclefit.io.formats.ply import read_ply
 from musclefit.io.formats.surfaces import Polygons, read_obj, read_stl
 from musclefit.io.formats.texts import in_mm, read_bytes
 from musclefit.io.formats.vtk_xml import read_vtp
+from musclefit.io.named_files import is_there
 from musclefit.progress import Progress, Silent
 from musclefit.vocabulary import Unit
 
@@ -191,8 +192,10 @@ def kind_of(name: str, path: Path, kinds: Sequence[tuple[str, TissueKind]]) -> t
 
 
 def _folder(folder: Path) -> tuple[list[Path], list[Finding]]:
-    if not folder.is_dir():
-        reason = "is a file, not a folder: name it under files" if folder.exists() else "is not there; correct the path"
+    if not is_there(folder) or not folder.is_dir():
+        reason = (
+            "is a file, not a folder: name it under files" if is_there(folder) else "is not there; correct the path"
+        )
         raise InputError(f"the anatomy's folder {folder} {reason}")
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     read_into = [path for path in inside if path.is_dir() and path.name.lower() in _KIND_WORDS]
@@ -223,7 +226,7 @@ def _expanded(patterns: Sequence[Path]) -> list[Path]:
     for pattern in patterns:
         fits = (
             [pattern]
-            if pattern.exists()
+            if is_there(pattern)
             else sorted(Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor))))
         )
         if not fits:

@@ -56,12 +56,13 @@ def resolve_data(text: str, *, folder: Path, source: str, key: str) -> Path:
             "write the rest out"
         )
     resolved = Path(os.path.normpath(folder.absolute() / expanded))
-    if not _is_there(resolved) and not set("*?[") & set(resolved.name):
+    if not is_there(resolved) and not set("*?[") & set(resolved.name):
         raise RigError(f"{source}: {key}: {resolved} does not exist (written as {text!r}; {hint})")
     return resolved
 
 
-def _is_there(path: Path) -> bool:
+def is_there(path: Path) -> bool:
+    """Whether a file or folder exists; none has a name longer than the system takes."""
     try:
         return path.exists()
     except OSError:  # a name longer than the system takes

@@ -122,7 +122,7 @@ def write_repair(target: Path, result: RepairResult, *, files: RawFiles) -> tupl
     report = repair_json(result.report)
     data = {_place(files, name): _bytes(result, files, name) for name in files.places}
     if not _is_one_file(files.source, target):
-        return write_surfaces(target, data, report=report)
+        return write_surfaces(target, data, report=report, by=Maker.REPAIR)
     written = {target: next(iter(data.values())), _report_path(target): _text(report)}
     partial = {path: path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}") for path in written}
     try:

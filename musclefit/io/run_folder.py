@@ -61,6 +61,11 @@ class Maker(StrEnum):
     RUN = "run"
     CHECK = "check"
     REPAIR = "repair"
+    ARCHITECTURE = "architecture"
+
+
+_TOLD_BY = {"overlaps_resolved": Maker.REPAIR, "without_fibres": Maker.ARCHITECTURE, "baseline": Maker.RUN}
+"""A key that only the reports of one command have."""
 
 
 @contextmanager
@@ -213,7 +218,7 @@ def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
     return _write_folder(folder, fill, to_json(report), by=Maker.CHECK)
 
 
-def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json) -> tuple[Path, ...]:
+def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json, by: Maker) -> tuple[Path, ...]:
     """Write surface files, by their paths below the folder, and a report on them; whole or not at all."""
 
     def fill(build: Path) -> None:
@@ -221,7 +226,7 @@ def write_surfaces(folder: Path, surfaces: Mapping[str, bytes], *, report: Json)
             (build / name).parent.mkdir(parents=True, exist_ok=True)
             (build / name).write_bytes(data)
 
-    return _write_folder(folder, fill, report, by=Maker.REPAIR)
+    return _write_folder(folder, fill, report, by=by)
 
 
 def file_names(names: Sequence[str], *, numbered: bool = False) -> dict[str, str]:
@@ -416,9 +421,10 @@ def _clear_left_over(target: Path) -> None:
 
 def _maker(report: Mapping[str, Any]) -> Maker:
     """Which command wrote a report."""
-    if "overlaps_resolved" in report:
-        return Maker.REPAIR
-    return Maker.RUN if "baseline" in report else Maker.CHECK
+    for key, maker in _TOLD_BY.items():
+        if key in report:
+            return maker
+    return Maker.CHECK
 
 
 def _former_report(target: Path, folder: Path) -> Mapping[str, Any]:

@@ -22,7 +22,7 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.attachments import read_attachments
 from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.rigs import read_rig
-from musclefit.io.run_folder import check_writable, write_surfaces
+from musclefit.io.run_folder import Maker, check_writable, write_surfaces
 from musclefit.meshing.cache import TetCache, default_limit_mb
 from musclefit.meshing.muscle_tets import muscle_tets
 from musclefit.muscles.attachments import MuscleEnds, find_ends, usual_distance_mm
@@ -174,7 +174,7 @@ def architecture(
         Input that cannot be used, before long work.
     """
     if out is not None:
-        check_writable(Path(out))
+        check_writable(Path(out), by=Maker.ARCHITECTURE)
     if within_mm is not None and not 0.0 < within_mm < np.inf:
         raise InputError(f"within_mm: found {within_mm}; expected a finite length above 0, mm")
     stated = () if attachments is None else read_attachments(attachments)
@@ -341,7 +341,7 @@ def _write(found: Architecture, folder: Path) -> None:
         "without_fibres": dict(found.left_out),
         **{name: [_finite(row) for row in rows] for name, rows in tables.items()},
     }
-    write_surfaces(folder, files, report=report)
+    write_surfaces(folder, files, report=report, by=Maker.ARCHITECTURE)
 
 
 def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:

@@ -28,6 +28,7 @@ with held(Path(sys.argv[1])):
 REPORTS = {
     Maker.RUN: {"schema_version": 1, "files": [REPORT_JSON, "ours.ply"], "baseline": None, "tissues": []},
     Maker.CHECK: {"schema_version": 1, "files": [REPORT_JSON], "tissues": []},
+    Maker.ARCHITECTURE: {"schema_version": 1, "files": [REPORT_JSON], "without_fibres": {}},
     Maker.REPAIR: {"schema_version": 1, "files": [REPORT_JSON], "overlaps_resolved": []},
 }
 

@@ -233,17 +233,15 @@ def _bone(source: LandmarkTable, i: int, target: LandmarkTable, j: int) -> str:
 
 
 def _from_fcsv(text: str, path: Path, *, units: Unit) -> LandmarkTable:
-    columns, system = _FCSV_COLUMNS, ""
+    system = ""
     for line in text.splitlines():
         key, _, value = line.lstrip("# ").partition("=")
-        if line.startswith("#") and key.strip().lower() == "columns":
-            columns = value.strip()
-        elif line.startswith("#") and key.strip().lower() == "coordinatesystem":
+        if line.startswith("#") and key.strip().lower() == "coordinatesystem":
             said = value.strip().strip(",").upper()
             if said not in _FCSV_SYSTEMS:
                 raise LandmarkError(f"{path}: CoordinateSystem is {value.strip()!r}; known are LPS, RAS, 0, 1")
             system = _FCSV_SYSTEMS[said]
-    headings = tuple(heading.strip().lower() for heading in columns.split(","))
+    headings = fcsv_headings(text)
     body = "\n".join("" if line.startswith("#") else line for line in text.splitlines())
     rows = Rows(path, headings, tuple(csv_lines(body, path, delimiter=",")))
     rows.check_widths()
@@ -255,6 +253,16 @@ def _from_fcsv(text: str, path: Path, *, units: Unit) -> LandmarkTable:
         coordinate_system=system,
         path=path,
     )
+
+
+def fcsv_headings(text: str) -> tuple[str, ...]:
+    """The columns of an .fcsv file, as its last line "# columns = ..." states them, or else Slicer's own."""
+    columns = _FCSV_COLUMNS
+    for line in text.splitlines():
+        key, _, value = line.lstrip("# ").partition("=")
+        if line.startswith("#") and key.strip().lower() == "columns":
+            columns = value.strip()
+    return tuple(heading.strip().lower() for heading in columns.split(","))
 
 
 def _from_markups(text: str, path: Path, *, units: Unit) -> LandmarkTable:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -24,7 +23,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.anatomy import read_surface
-from musclefit.io.formats.landmarks import read_landmarks
+from musclefit.io.formats.landmarks import fcsv_headings, read_landmarks
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
 from musclefit.io.formats.texts import in_mm, read_bytes, read_text
 from musclefit.io.formats.trc import read_trajectories
@@ -111,9 +110,10 @@ def _csv(path: Path, units: Unit) -> tuple[Points, Rewrite]:
 def _fcsv(path: Path, units: Unit) -> tuple[Points, Rewrite]:
     points = read_landmarks(path, units=units).positions
     text = _text(path)
-    named = re.search(r"^#\s*columns\s*=\s*(.*)$", text, re.MULTILINE | re.IGNORECASE)
-    headings = [h.strip().lower() for h in named[1].split(",")] if named else ["id", "x", "y", "z"]
-    at = [headings.index(axis) for axis in "xyz"]
+    at = [fcsv_headings(text).index(axis) for axis in "xyz"]
+    rows = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if len(rows) != len(points) or any(len(next(csv.reader([row]))) <= max(at) for row in rows):
+        raise LandmarkError(f"{path}: a landmark stands on several lines; write each on one")
 
     def rewrite(moved: Points, out: Path) -> None:
         lines, left = text.splitlines(), iter(moved / units.in_mm)

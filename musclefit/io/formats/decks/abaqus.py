@@ -16,7 +16,7 @@ from types import MappingProxyType
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.elements import CORNERS, CellKind
-from musclefit.io.formats.decks.model import Deck, ElementTable, Lines, NodeTable, number_in
+from musclefit.io.formats.decks.model import Deck, ElementTable, Lines, NodeTable, is_number_of_node, number_in
 
 _REFUSED = ("NGEN", "NFILL", "NCOPY", "NMAP")
 
@@ -188,10 +188,10 @@ def _take_nodes(reading: _Reading, options: Mapping[str, str], number: int, rows
     for at, line in rows:
         cells = line.split(",")
         name = cells[0].strip()
-        if not (name.isascii() and name.isdigit()):
+        if not is_number_of_node(name):
             raise lines.error(at, f"a node's number is {name!r}; expected a whole number before the first comma")
         try:
-            place = [number_in(cell) for cell in (*cells[1:4], "", "")[:3]]
+            place = [number_in(cell) for cell in (*cells[1:4], "", "", "")[:3]]
         except ValueError as error:
             raise lines.error(at, f"node {name}: a coordinate is {str(error)!r}; expected a number") from None
         reading.nodes.add(reading.named(str(int(name))), (place[0], place[1], place[2]))
@@ -224,7 +224,7 @@ def _add(elements: ElementTable, kind: str, part: str, row: Sequence[str], lines
     if shape is None:
         elements.skip(f"of type {kind or 'not stated'}")
         return
-    if not all(cell.isascii() and cell.isdigit() for cell in row):
+    if not all(is_number_of_node(cell) for cell in row):
         raise lines.error(number, f"an element of type {kind} has {', '.join(row)!r}; expected whole numbers")
     prefix = f"{part}." if part else ""
     corners = [f"{prefix}{int(cell)}" for cell in row[1 : 1 + CORNERS[shape[0]]]]

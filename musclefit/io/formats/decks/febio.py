@@ -13,7 +13,7 @@ from xml.parsers import expat
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.elements import CORNERS, CellKind
-from musclefit.io.formats.decks.model import Deck, ElementTable, NodeTable, number_in
+from musclefit.io.formats.decks.model import Deck, ElementTable, NodeTable, is_number_of_node, number_in
 
 _SHAPES: Mapping[str, CellKind] = MappingProxyType(
     {
@@ -123,7 +123,7 @@ class _Reader:
 
     def _take_node(self, attributes: Mapping[str, str], end: int) -> None:
         number, text = attributes.get("id", ""), "".join(self._text)
-        if not (number.isascii() and number.isdigit()):
+        if not is_number_of_node(number):
             raise self._error(f"a node's id is {number!r}; expected a whole number")
         cells = text.split(",")
         try:

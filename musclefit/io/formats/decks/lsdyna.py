@@ -15,7 +15,15 @@ from types import MappingProxyType
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.elements import CellKind
-from musclefit.io.formats.decks.model import Deck, ElementTable, Lines, NodeTable, number_in, number_within
+from musclefit.io.formats.decks.model import (
+    Deck,
+    ElementTable,
+    Lines,
+    NodeTable,
+    is_number_of_node,
+    number_in,
+    number_within,
+)
 
 _REFUSED: Mapping[str, str] = MappingProxyType(
     {
@@ -182,7 +190,7 @@ def _node(lines: Lines, number: int, line: str, columns: _Columns) -> tuple[_Nod
         starts = [columns.number + k * columns.place for k in range(3)]
         spans = tuple((start, start + columns.place) for start in starts)
         name = line[: columns.number].strip()
-    if not (name.isascii() and name.isdigit()):
+    if not is_number_of_node(name):
         raise lines.error(number, f"a node's number is {name!r}; expected a whole number in the first field")
     try:
         x, y, z = (number_in(line[a:b]) for a, b in spans)
@@ -222,7 +230,7 @@ def _add_elements(
         step += 1
     for k in range(0, len(rows) - step + 1, step):
         row = [*rows[k], *rows[k + 1]] if split else rows[k]
-        if not all(field.isascii() and field.isdigit() for field in row):
+        if not all(is_number_of_node(field) for field in row):
             raise lines.error(cards[k][0], f"*{keyword}: found {cards[k][1].strip()!r}; expected whole numbers")
         if len(row) < 5:
             raise lines.error(cards[k][0], f"*{keyword}: found {len(row)} numbers; expected the element's nodes too")

@@ -104,6 +104,15 @@ class Lines:
         return "\n".join(lines).encode("latin-1")
 
 
+MOST_DIGITS = 18
+"""Of the number of a node or an element."""
+
+
+def is_number_of_node(text: str) -> bool:
+    """Whether a text is a whole number as decks count nodes and elements: ASCII digits, not more than 64 bits hold."""
+    return text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS
+
+
 def number_in(text: str) -> float:
     """A coordinate as decks write it; a blank is 0.
 

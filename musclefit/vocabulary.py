@@ -32,6 +32,7 @@ class BackendKind(StrEnum):
     RBF = "rbf"
     FFD = "ffd"
     LATTICE = "lattice"
+    MULTILEVEL = "multilevel"
 
 
 class StepKind(StrEnum):

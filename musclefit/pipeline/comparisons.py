@@ -69,8 +69,10 @@ class LoopProgress:
 
 
 def _settings(own: DeformerSettings) -> DeformerSettings:
-    scalar = own.backend is BackendKind.RBF and not KERNELS[own.kernel].isochoric
+    many = own.backend is BackendKind.MULTILEVEL  # its handles are too many for one dense system
+    scalar = many or (own.backend is BackendKind.RBF and not KERNELS[own.kernel].isochoric)
     return DeformerSettings(
+        backend=own.backend if many else BackendKind.RBF,
         kernel=own.kernel if scalar else "r2logr",
         kernel_scale_mm=own.kernel_scale_mm if scalar else None,
         smoothing=own.smoothing if scalar else 0.0,

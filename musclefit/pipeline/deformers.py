@@ -13,6 +13,7 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy
 from musclefit.fields.ffd import Lattice
 from musclefit.fields.fitting.ffd import FfdBackend
+from musclefit.fields.fitting.multilevel import MultilevelBackend
 from musclefit.fields.isochoric_ffd import IsochoricFfdBackend
 from musclefit.fields.kernels import KERNELS
 from musclefit.fields.protocol import Backend
@@ -70,6 +71,7 @@ def backend_for(settings: DeformerSettings) -> Backend:
             settings.kernel, scale=settings.kernel_scale_mm or 1.0, smoothing=settings.smoothing
         ),
         BackendKind.FFD: lambda: FfdBackend(settings.lattice_spacing_mm, settings.lattice_levels),
+        BackendKind.MULTILEVEL: lambda: MultilevelBackend(settings.kernel, scale=settings.kernel_scale_mm or 1.0),
     }
     return builders[settings.backend]()
 
@@ -265,6 +267,8 @@ def field_in_words(settings: DeformerSettings) -> str:
         return "FFD by its own control points"
     smoothed = f", smoothing {settings.smoothing:g}" if settings.smoothing else ""
     scaled = f" of {settings.kernel_scale_mm:g} mm" if settings.kernel_scale_mm is not None else ""
+    if settings.backend is BackendKind.MULTILEVEL:
+        return f"RBF, kernel {settings.kernel}{scaled}, refined by compact levels"
     return f"RBF, kernel {settings.kernel}{scaled}{smoothed}"
 
 

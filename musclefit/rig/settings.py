@@ -452,6 +452,8 @@ class Rig:
                 f'of kind "lattice", step "{StepKind.EXPLICIT}" and step_rule "{StepRule.ROW_NORM}"; else write '
                 f'"{BackendKind.FFD}" or "{BackendKind.RBF}"'
             )
+        if self.deformer.backend is BackendKind.MULTILEVEL:
+            _require_many_handles(self.deformer, self.bones)
         drive.check_bones(rigid=rigid)
         if self.bones.rigid:
             _require_rigid_bones(self.drive, self.deformer)
@@ -460,6 +462,21 @@ class Rig:
         dotted = (key.partition(".") for key in METHOD_SETTINGS[self.deformer.method])
         settings = {f"{part}.{name}": getattr(getattr(self, part), name) for part, _, name in dotted}
         require_method(self.deformer.method, settings)
+
+
+def _require_many_handles(deformer: DeformerSettings, bones: BoneSettings) -> None:
+    """Raise RigError unless very many handles can be followed: by a scalar kernel without end, bones left to it."""
+    kernel = kernel_named(deformer.kernel)
+    if kernel.isochoric or kernel.compact:
+        raise RigError(
+            f'deformer.kernel: found "{deformer.kernel}"; backend "{BackendKind.MULTILEVEL}" refines a scalar kernel '
+            'that reaches everywhere: write "r", "r2logr" or "r3"'
+        )
+    if bones.rigid or bones.keep_rigid or bones.keep_similar:
+        raise RigError(
+            f'deformer.backend: found "{BackendKind.MULTILEVEL}", which holds no bones; write "{BackendKind.RBF}" or '
+            f'"{BackendKind.FFD}", or leave bones.rigid, keep_rigid and keep_similar out'
+        )
 
 
 def _require_locking_march(deformer: DeformerSettings) -> None:

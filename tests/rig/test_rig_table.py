@@ -208,7 +208,7 @@ WRONG = {
     ),
     "unknown backend": (
         rig_table(deformer__backend="spline"),
-        "arm.toml: deformer.backend: found 'spline'; known: ffd, lattice, rbf",
+        "arm.toml: deformer.backend: found 'spline'; known: ffd, lattice, multilevel, rbf",
     ),
     "unknown unit": (
         rig_table(anatomy__units="inch"),

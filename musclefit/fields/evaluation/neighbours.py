@@ -9,6 +9,9 @@ import numpy as np
 
 from musclefit.geometry.arrays import Float, Int, Points
 
+CELLS_PER_SOURCE, FEWEST_CELLS = 4, 32_768
+"""How many cells there may be: a short support in a large body would make billions."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cells:
@@ -36,8 +39,10 @@ class Cells:
 
     @classmethod
     def of(cls, sources: Points, *, width: float) -> Self:
-        """Sort (m, 3) sources, mm, into cells of a width, mm."""
+        """Sort (m, 3) sources, mm, into cells of a width, mm, or wider ones where these would be too many to keep."""
         low = sources.min(axis=0)
+        most = float(np.cbrt(CELLS_PER_SOURCE * len(sources) + FEWEST_CELLS))
+        width = max(width, float(np.ptp(sources, axis=0).max()) / most)
         cell = np.floor((sources - low) / width).astype(np.int64)
         counts = cell.max(axis=0) + 1
         flat = np.ravel_multi_index(tuple(cell.T), tuple(counts))

@@ -1,0 +1,129 @@
+"""Very many handles: met exactly however close they are, sparse, and bounded as rigorously as every other field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from musclefit.errors import FieldError
+from musclefit.fields.evaluation.neighbours import Cells
+from musclefit.fields.fitting import multilevel
+from musclefit.fields.fitting.multilevel import MultilevelBackend
+from musclefit.fields.radial import RadialBackend
+
+RNG = np.random.default_rng(0)
+
+
+def uneven(count: int, *, dimensions: int = 3) -> np.ndarray:
+    """Points over a ball's surface and in it, ten times denser on one side, some pairs very close."""
+    points = RNG.normal(size=(count, dimensions))
+    points *= 100.0 / np.linalg.norm(points, axis=1)[:, None] * RNG.choice([1.0, 0.7, 0.3], count)[:, None]
+    points[: count // 2] = 0.1 * points[: count // 2] + np.eye(dimensions)[0] * 90.0
+    points[1::50] = points[0::50] + 1e-3 * RNG.normal(size=points[0::50].shape)
+    return points
+
+
+def smooth(points: np.ndarray) -> np.ndarray:
+    return np.column_stack([5.0 * np.sin(points[:, k] / 40.0) + 0.05 * points[:, 0] for k in range(points.shape[1])])
+
+
+@pytest.fixture
+def small_base(monkeypatch):
+    monkeypatch.setattr(multilevel, "BASE", 60)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_every_handle_is_met_and_between_them_the_field_is_near(small_base, dimensions):
+    at = uneven(1500, dimensions=dimensions)
+    field = MultilevelBackend("r3").fit(at, smooth(at))
+    assert len(field.layers) > 5
+    np.testing.assert_allclose(field.displacement(at), smooth(at), rtol=0, atol=1e-9)
+    between = at[RNG.integers(len(at), size=300)] + RNG.normal(scale=0.5, size=(300, dimensions))
+    assert np.percentile(np.linalg.norm(field.displacement(between) - smooth(between), axis=1), 95) < 0.3
+
+
+def test_random_displacements_are_met_too(small_base):
+    at = uneven(800)
+    wanted = RNG.normal(size=at.shape) * 1e-3
+    np.testing.assert_allclose(MultilevelBackend("r").fit(at, wanted).displacement(at), wanted, rtol=0, atol=1e-12)
+
+
+def test_few_handles_are_those_of_the_radial_sum():
+    at = uneven(200)
+    one, other = MultilevelBackend("r3").fit(at, smooth(at)), RadialBackend("r3").fit(at, smooth(at))
+    points = RNG.uniform(-80, 80, (50, 3))
+    np.testing.assert_array_equal(one.displacement(points), other.displacement(points))
+
+
+def test_fine_levels_are_empty_where_handles_are_far_apart(small_base):
+    at = uneven(1500)
+    layers = MultilevelBackend("r3").fit(at, smooth(at)).layers
+    assert sum(len(layer.centres) for layer in layers) < 6 * len(at)
+    finest = layers[-1]
+    assert len(finest.centres) < 0.2 * len(at)
+
+
+def test_gradients_are_derivatives_and_scaling_scales(small_base):
+    at = uneven(600)
+    field = MultilevelBackend("r3").fit(at, smooth(at))
+    points, h = RNG.uniform(-60, 60, (40, 3)), 1e-5
+    values, gradients = field.displacement_and_gradient(points)
+    np.testing.assert_allclose(values, field.displacement(points), rtol=0, atol=1e-12)
+    for k in range(3):
+        step = h * np.eye(3)[k]
+        numeric = (field.displacement(points + step) - field.displacement(points - step)) / (2 * h)
+        np.testing.assert_allclose(gradients[:, :, k], numeric, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(field.scaled(-2.0).gradient(points), -2.0 * gradients, rtol=0, atol=1e-12)
+
+
+def test_bounds_hold_at_every_sampled_place(small_base):
+    """An attack: boxes of all sizes, sampled densely; not one place may leave what is proved of it."""
+    at = uneven(500)
+    field = MultilevelBackend("r3").fit(at, smooth(at))
+    centres = np.concatenate([at[::10] + RNG.normal(scale=0.3, size=at[::10].shape), RNG.uniform(-90, 90, (30, 3))])
+    half_widths = np.exp(RNG.uniform(-6, 2, (len(centres), 1))) * np.ones(3)
+    radii = half_widths[:, 0]
+    in_boxes = centres[:, None] + RNG.uniform(-1, 1, (len(centres), 200, 3)) * half_widths[:, None]
+    directions = RNG.normal(size=(len(centres), 200, 3))
+    directions *= (RNG.uniform(0, 1, (len(centres), 200)) ** 0.33 / np.linalg.norm(directions, axis=2))[..., None]
+    in_balls = centres[:, None] + directions * radii[:, None, None]
+    gradient_bounds = field.gradient_bounds(centres, half_widths), field.gradient_ball_bounds(centres, radii)
+    strains = (
+        field.strain_bounds(centres, half_widths, enough=(-0.5, 0.5))[0],
+        field.strain_ball_bounds(centres, radii)[0],
+    )
+    values, spread = field.displacement_bounds(centres, half_widths)
+    for places, (middles, reach), ranges in zip((in_boxes, in_balls), gradient_bounds, strains, strict=True):
+        flat = places.reshape(-1, 3)
+        moved, gradients = field.displacement_and_gradient(flat)
+        gradients = gradients.reshape(*places.shape, 3)
+        known = np.isfinite(middles).all(axis=(1, 2))
+        assert known.any()
+        off = np.linalg.norm(gradients[known] - middles[known, None], 2, axis=(2, 3))
+        assert (off <= reach[known, None] + 1e-12).all()
+        eigenvalues = np.linalg.eigvalsh(0.5 * (gradients + gradients.swapaxes(2, 3)))
+        assert (eigenvalues[..., 0] >= ranges[:, None, 0] - 1e-12).all()
+        assert (eigenvalues[..., -1] <= ranges[:, None, 1] + 1e-12).all()
+        assert np.isfinite(ranges[radii < 0.01]).all()
+        if places is in_boxes:
+            inside = np.abs(moved.reshape(places.shape) - values[:, None]) <= spread[:, None] + 1e-12
+            assert inside.all()
+
+
+def test_what_cannot_be_fitted_is_said():
+    at = uneven(100)
+    for kernel, said in (("isochoric-r3", "isochoric"), ("wendland-c2", "compact")):
+        with pytest.raises(FieldError, match=said):
+            MultilevelBackend(kernel, 10.0)
+    many = np.concatenate([uneven(1500), np.full((2, 3), 7.0)])
+    with pytest.raises(FieldError, match="1 handles coincide"):
+        MultilevelBackend("r3").fit(many, smooth(many))
+    assert len(at) == 100
+
+
+def test_a_short_support_in_a_large_body_makes_no_billions_of_cells():
+    points = RNG.uniform(-1000, 1000, (500, 3))
+    cells = Cells.of(points, width=0.01)
+    assert int(np.prod(cells.counts)) < 100_000
+    assert cells.width >= 0.01
+    assert sorted(cells.order.tolist()) == list(range(500))

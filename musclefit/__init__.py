@@ -2,8 +2,8 @@
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
 `fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export`,
-`architecture` and `init`. They and what they give back are stable, as are the other names of this module; what is in
-the rooms below may change with any version.
+`import_osim`, `architecture` and `init`. They and what they give back are stable, as are the other names of this
+module; what is in the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.export import export
     from musclefit.workflows.fit_body import fit_body
     from musclefit.workflows.fit_joint import fit_joint
+    from musclefit.workflows.import_osim import import_osim
     from musclefit.workflows.init import init
     from musclefit.workflows.joint_range import joint_range
     from musclefit.workflows.label_surfaces import label_surfaces
@@ -78,6 +79,7 @@ _HOMES = {
     "find_rig": "io.rigs",
     "fit_body": "workflows.fit_body",
     "fit_joint": "workflows.fit_joint",
+    "import_osim": "workflows.import_osim",
     "init": "workflows.init",
     "inspect": "pipeline.inspect",
     "joint_range": "workflows.joint_range",
@@ -132,6 +134,7 @@ __all__ = [
     "find_rig",
     "fit_body",
     "fit_joint",
+    "import_osim",
     "init",
     "inspect",
     "joint_range",

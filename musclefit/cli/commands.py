@@ -24,6 +24,7 @@ from musclefit.cli.cage import cage
 from musclefit.cli.export import export
 from musclefit.cli.fit_body import fit_body
 from musclefit.cli.fit_joint import fit_joint
+from musclefit.cli.import_osim import import_osim
 from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
@@ -195,6 +196,7 @@ def check(
 app.command(warp_image, name="warp-image", sort_key=4)
 app.command(warp_field, name="warp-field", sort_key=4)
 app.command(warp_deck, name="warp-deck", sort_key=4)
+app.command(import_osim, name="import-osim", sort_key=5)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(export, sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)

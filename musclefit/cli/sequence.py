@@ -23,7 +23,10 @@ def sequence(
     rig: Annotated[str, Parameter(help="A rig file that joints or transforms drive, or a built-in rig's name.")],
     motion: Annotated[
         Path | None,
-        Parameter(help="CSV of joints' keyframes: time_s, <coordinate>_deg, ... Without it: drive.motion of the rig."),
+        Parameter(
+            help="CSV of joints' keyframes: time_s, <coordinate>_deg, ...; .mot or .sto where an OpenSim model drives. "
+            "Without it: drive.motion of the rig."
+        ),
     ] = None,
     /,
     *,

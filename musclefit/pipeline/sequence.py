@@ -127,8 +127,8 @@ def require_motion(job: Job) -> None:
     """Raise InputError unless the job can be sent to other poses."""
     if job.joints is None and job.transforms is None:
         raise InputError(
-            f'{job.source}: a motion turns joints or follows transforms; give the rig a [drive] of kind "joints" or '
-            '"transforms"'
+            f'{job.source}: a motion turns joints or follows transforms; give the rig a [drive] of kind "joints", '
+            '"transforms" or "opensim"'
         )
 
 

@@ -15,9 +15,10 @@ from musclefit._version import __version__
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically
-from musclefit.io.drives import JointDrive, TransformDrive
+from musclefit.io.drives import JointDrive, OpenSimDrive, TransformDrive
 from musclefit.io.folder_locks import held
 from musclefit.io.formats.motions import read_motion
+from musclefit.io.formats.opensim_motion import ENDINGS
 from musclefit.io.formats.rows import plain_cell
 from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
@@ -174,7 +175,8 @@ def sequence(
     rig : str, path or mapping
         Driven by joints or transforms; see `musclefit.run`.
     motion : path, optional
-        CSV of joints' keyframes: time_s, <coordinate>_deg, ...; without it the rig's drive.motion.
+        CSV of joints' keyframes: time_s, <coordinate>_deg, ...; or .mot or .sto where an OpenSim model drives; without
+        it the rig's drive.motion.
     out : path
         Folder for the frames; a run that was interrupted there goes on.
     frames : int
@@ -201,7 +203,7 @@ def sequence(
 
     by = None if interpolation is None else word(Interpolation, interpolation, what="interpolation")
     with watched(progress) as stages:
-        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        job = read_rig(rig_given(rig), overrides=with_motion(motion, overrides), progress=stages)
         plan = planned(job, motion=motion, frames=frames, interpolation=by)
         report = run_sequence(plan, out, workers=workers, between=between, progress=stages)
         write_outputs(plan, Path(out), report, pictures=pictures, progress=stages)
@@ -229,11 +231,43 @@ def planned(
                 "times; leave it out, or set drive.transforms"
             )
         return SequencePlan(job, job.transforms, frames or drive.frames)
+    if job.transforms is not None and isinstance(drive, OpenSimDrive):
+        return _planned_on_model(job, job.transforms, drive, motion=motion, frames=frames, interpolation=interpolation)
     assert isinstance(drive, JointDrive)
     keyframes = motion or drive.motion
     if not keyframes:
         raise InputError(f"{job.source}: drive.motion names no keyframes; add it, or give a CSV after the rig")
     return SequencePlan(job, read_motion(keyframes), frames or drive.frames, interpolation or drive.interpolation)
+
+
+def _planned_on_model(
+    job: Job,
+    transforms: BoneTransforms,
+    drive: OpenSimDrive,
+    *,
+    motion: str | Path | None,
+    frames: int,
+    interpolation: Interpolation | None,
+) -> SequencePlan:
+    """The sequence of a job that an OpenSim model drives; its motion was read with the rig."""
+    if motion and Path(motion).resolve() != Path(drive.motion).resolve():
+        raise InputError(f"{job.source}: is read without {motion}; read the rig with drive.motion set to it")
+    if interpolation:
+        raise InputError(
+            f"{job.source}: an OpenSim model's bodies follow screws between times; leave interpolation out"
+        )
+    if not drive.motion:
+        raise InputError(f"{job.source}: drive.motion names no motion; add it, or give a .mot or .sto after the rig")
+    return SequencePlan(job, transforms, frames or drive.frames)
+
+
+def with_motion(motion: str | Path | None, overrides: Sequence[str]) -> tuple[str, ...]:
+    """The overrides, and drive.motion where a motion of OpenSim is given, which only the rig's model can read."""
+    if motion is None or Path(motion).suffix.lower() not in ENDINGS:
+        return tuple(overrides)
+    if not Path(motion).is_file():
+        raise InputError(f"{motion}: no such file; correct the path of the motion")
+    return (*overrides, f"drive.motion={json.dumps(str(Path(motion).absolute()))}")
 
 
 def run_sequence(

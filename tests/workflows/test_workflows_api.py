@@ -29,6 +29,7 @@ COMMANDS = (
     "warp_field",
     "warp_deck",
     "export",
+    "import_osim",
     "init",
 )
 

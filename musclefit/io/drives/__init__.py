@@ -4,7 +4,16 @@ from musclefit.io.drives.cage import CageDrive
 from musclefit.io.drives.joints import JointDrive
 from musclefit.io.drives.landmarks import LandmarkDrive
 from musclefit.io.drives.lattice import LatticeDrive
+from musclefit.io.drives.opensim import OpenSimDrive
 from musclefit.io.drives.skeleton import SkeletonDrive
 from musclefit.io.drives.transforms import TransformDrive
 
-__all__ = ["CageDrive", "JointDrive", "LandmarkDrive", "LatticeDrive", "SkeletonDrive", "TransformDrive"]
+__all__ = [
+    "CageDrive",
+    "JointDrive",
+    "LandmarkDrive",
+    "LatticeDrive",
+    "OpenSimDrive",
+    "SkeletonDrive",
+    "TransformDrive",
+]

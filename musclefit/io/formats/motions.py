@@ -33,6 +33,11 @@ def read_motion(path: str | Path) -> Motion:
         message names file, line and column.
     """
     path = Path(path)
+    if path.suffix.lower() in (".mot", ".sto"):
+        raise InputError(
+            f'{path}: a motion of OpenSim is read with its model, by a rig of drive.kind = "opensim"; make one of the '
+            "model with `musclefit import-osim`, or give a CSV with time_s and <coordinate>_deg"
+        )
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:

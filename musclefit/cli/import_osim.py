@@ -1,0 +1,51 @@
+"""The command that makes a rig of an OpenSim model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from musclefit.cli.options import JsonOption, print_json
+from musclefit.workflows.progress import TimedStages
+
+PASSED = 0
+
+
+def import_osim(
+    model: Annotated[Path, Parameter(help="The .osim file.")],
+    out: Annotated[Path, Parameter(help="New or empty folder for the rig.")],
+    /,
+    *,
+    motion: Annotated[Path | None, Parameter(name="--motion", help=".mot or .sto that the rig follows.")] = None,
+    geometry: Annotated[
+        tuple[Path, ...],
+        Parameter(name="--geometry", help="A further folder to look for meshes in. May be given again."),
+    ] = (),
+    skip_missing: Annotated[
+        bool, Parameter(name="--skip-missing", negative="", help="Go on without meshes that are nowhere.")
+    ] = False,
+    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
+) -> int:
+    """Make a rig of an OpenSim model: bones, joints, muscle paths, markers and wrap objects, mm, default pose."""
+    from musclefit.workflows.import_osim import import_osim as make
+
+    with TimedStages(shown=not quiet) as stages:
+        made = make(model, out, motion=motion, geometry=geometry, skip_missing=skip_missing, progress=stages)
+    if json:
+        print_json(made.to_json())
+    elif not quiet:
+        print(f"wrote {made.folder}: " + ", ".join(f"{n} {what.replace('_', ' ')}" for what, n in made.counts.items()))
+        for note in made.notes:
+            print(f"  {note}")
+        if made.missing:
+            print(f"  without {len(made.missing)} meshes that are nowhere: {', '.join(made.missing)}")
+        if made.open:
+            print(
+                f"  {len(made.open)} meshes are no closed surfaces and stand in open/, outside the rig; mend them with "
+                f"`musclefit repair {made.folder / 'open'} MENDED`, put them into bones/: "
+                + ", ".join(mesh.name for mesh in made.open)
+            )
+    return PASSED

@@ -602,7 +602,7 @@ def test_every_key_has_a_line_in_the_readme_with_its_default(key: str) -> None:
 
 def _as_toml(name: str, value: Any) -> str:
     if value == ():
-        return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm", "carried") else "[]"
+        return "{}" if name in ("kinds", "edge_length_mm", "envelope_mm", "carried", "pose") else "[]"
     if value is None:
         return "none"
     if isinstance(value, bool):

@@ -174,6 +174,14 @@ def check(
             f"is {', '.join(TissueKind)}. May be given again.",
         ),
     ] = (),
+    fail_on: Annotated[
+        tuple[str, ...],
+        Parameter(
+            name="--fail-on",
+            help="Findings that give exit code 1 too, parted by commas, such as self-crossing,non-manifold,pieces; "
+            "overlaps, open surfaces and those without an inside always do.",
+        ),
+    ] = (),
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -183,7 +191,8 @@ def check(
 
     with TimedStages(shown=not quiet) as stages:
         kinds = parse_kinds(kind)
-        report = examine(paths, out=out, units=units, kinds=kinds, progress=stages).report
+        codes = [code.strip() for codes in fail_on for code in codes.split(",") if code.strip()]
+        report = examine(paths, out=out, units=units, kinds=kinds, fail_on=codes, progress=stages).report
     if json:
         _print_json(to_json(report) if out is None else _written(out))
     elif not quiet:

@@ -74,11 +74,15 @@ class RawSurface:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReadAnatomy:
-    """An anatomy, what was found in it, and each file's SHA-256 by its path (within the folder, if one was read)."""
+    """An anatomy, what was found in it, and each file's SHA-256 by its path (within the folder, if one was read).
+
+    ``unusable`` names the surfaces that were left out, which only who asks for that gets.
+    """
 
     anatomy: Anatomy
     findings: tuple[Finding, ...]
     hashes: Mapping[str, str]
+    unusable: tuple[Finding, ...] = ()
 
 
 def read_surface(path: Path, *, units: Unit = Unit.MILLIMETRE) -> RawSurface:
@@ -121,6 +125,7 @@ def read_anatomy(
     kinds: Sequence[tuple[str, TissueKind]] = (),
     frame: str = "as in the files",
     progress: Progress = _UNWATCHED,
+    leave_out: bool = False,
 ) -> ReadAnatomy:
     """Read every tissue of an anatomy and check it.
 
@@ -140,6 +145,8 @@ def read_anatomy(
     frame : str
         The coordinate frame in words.
     progress : Progress
+    leave_out : bool
+        Whether surfaces that cannot be used are left out and named in ``unusable``, as long as one can be used.
 
     Raises
     ------
@@ -157,19 +164,36 @@ def read_anatomy(
         paths = _expanded([Path(path) for path in source])
     named = _by_name(paths)
     tissues: list[Tissue] = []
+    unusable: list[Finding] = []
     hashes: dict[str, str] = {}
     with progress.stage("read and check the surfaces") as tick:
         for done, (name, path) in enumerate(named.items(), start=1):
-            raw = read_surface(path, units=units)
             kind, notes = _kind(name, path, kinds)
-            tissue, found = take_in(name, kind, vertices=raw.vertices, faces=raw.faces, source=str(path))
+            try:
+                raw = read_surface(path, units=units)
+                tissue, found = take_in(name, kind, vertices=raw.vertices, faces=raw.faces, source=str(path))
+            except MeshError as error:
+                if not leave_out:
+                    raise
+                unusable.append(Finding(name, "unusable", str(error)))
+                continue
             tissues.append(tissue)
             findings += [*notes, *raw.findings, *found]
             hashes[(path.relative_to(folder) if folder else path).as_posix()] = raw.sha256
             tick(done / len(named))
+    if not tissues:
+        raise _none_usable(unusable)
     _require_used(kinds, tuple(named))
     require_plausible_size(tissues, units={unit.value: unit.in_mm for unit in Unit}, read_in=units.value)
-    return ReadAnatomy(Anatomy(tuple(tissues), frame), tuple(findings), MappingProxyType(hashes))
+    anatomy = Anatomy(tuple(tissues), frame)
+    return ReadAnatomy(anatomy, tuple(findings), MappingProxyType(hashes), tuple(unusable))
+
+
+def _none_usable(unusable: Sequence[Finding]) -> MeshError:
+    if len(unusable) == 1:
+        return MeshError(f"{unusable[0].message}. Or mend it with musclefit repair")
+    some = "; ".join(finding.message for finding in unusable[:6]) + ("; ..." if len(unusable) > 6 else "")
+    return MeshError(f"none of {len(unusable)} surfaces can be used; mend them with musclefit repair: {some}")
 
 
 def surface_files(source: Path) -> tuple[dict[str, Path], tuple[Finding, ...]]:

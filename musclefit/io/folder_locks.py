@@ -32,7 +32,6 @@ def held(folder: Path) -> Iterator[None]:
     name = sha256(os.path.realpath(folder).encode("utf-8", "surrogateescape")).hexdigest()[:32]
     path = default_cache_folder() / "folders" / f"{name}.lock"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         file = _locked(path, folder)
     except OSError:  # a cache folder that cannot be written to forbids no run
         yield
@@ -42,12 +41,18 @@ def held(folder: Path) -> Iterator[None]:
     finally:
         with suppress(OSError):
             path.unlink()  # before it is let go: who waits for it opens another
+            path.parent.rmdir()  # fails where another lock is in it
+            path.parent.parent.rmdir()
         file.close()
 
 
 def _locked(path: Path, folder: Path) -> IO[bytes]:
     while True:
-        file = path.open("a+b")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            file = path.open("a+b")
+        except FileNotFoundError:  # who let go of another lock took the empty folder away
+            continue
         if sys.platform == "win32":
             return file
         try:

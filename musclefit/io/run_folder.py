@@ -28,6 +28,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.io.folder_locks import held
 from musclefit.io.formats.mrml import SceneModel, scene_text
 from musclefit.report.html import render_html, render_inspection
+from musclefit.report.junit import junit_xml
 from musclefit.report.model import MeshReport, Report
 from musclefit.report.schema import Json, to_json
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from musclefit.pipeline.intermediate_states import State
 
 REPORT_JSON, REPORT_HTML, SCENE = "report.json", "report.html", "scene.mrml"
+REPORT_JUNIT = "report.junit.xml"
 SURFACES, PICTURES, TETS, POINTS, INTERMEDIATE = "surfaces", "pictures", "tets.vtu", "points", "intermediate"
 
 _NO_POINTS: Mapping[str, Callable[[Path], None]] = MappingProxyType({})
@@ -209,9 +211,10 @@ def write_run(
 
 
 def write_inspection(folder: Path, report: MeshReport) -> tuple[Path, ...]:
-    """Write the report of an anatomy as it is, as JSON and as a page; whole or not at all, as ``write_run``."""
+    """Write the report of an anatomy as it is, as JSON, JUnit XML and a page; whole or not at all, as ``write_run``."""
 
     def fill(build: Path) -> None:
+        (build / REPORT_JUNIT).write_text(junit_xml(report), encoding="utf-8", errors="backslashreplace")
         page = render_inspection(report)
         (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 

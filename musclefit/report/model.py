@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from musclefit.anatomy.findings import Finding
@@ -216,7 +216,8 @@ class MeshReport:
     """One inspection of an anatomy as it is.
 
     ``overlaps`` holds the pairs at rest: ``rest_mm3`` and ``deformed_mm3`` are equal and nothing is introduced.
-    Findings are shown and do not change the verdict: what makes a tissue unusable is in ``overlaps.not_checked``.
+    Findings of the codes in ``fail_on`` fail it; others are shown and do not change the verdict. What makes a tissue
+    unusable is in ``overlaps.not_checked``.
     """
 
     title: str
@@ -225,6 +226,7 @@ class MeshReport:
     findings: tuple[Finding, ...]
     overlaps: OverlapCheck
     limits: MeshLimits = field(default_factory=MeshLimits)
+    fail_on: tuple[str, ...] = ()
     timings_s: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mb: float = math.nan
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -243,7 +245,13 @@ class MeshReport:
             outside = [(t.name, _volume(t.outside_skin_mm3)) for t in self.tissues if t.kind != TissueKind.SKIN]
             limit = self.limits.outside_skin_mm3
             checks.append(_total("outside skin", outside, limit, next_step=next_steps.REST_OUT_OF_SKIN))
-        return (*checks, _all_checked(self.overlaps.not_checked))
+        for code in self.fail_on:
+            found = [finding.subject for finding in self.findings if finding.code == code]
+            place = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
+            checks.append(Check(code, float(len(found)), 0.0, "findings", place, next_step=next_steps.REST_FAULTS))
+        unusable = any(finding.code == "unusable" for finding in self.findings)
+        checked = _all_checked(self.overlaps.not_checked)
+        return (*checks, replace(checked, next_step=next_steps.REST_UNUSABLE) if unusable else checked)
 
     @property
     def verdict(self) -> Verdict:

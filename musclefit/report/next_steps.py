@@ -80,6 +80,8 @@ OUT_OF_SKIN = (
 UNCHECKED = 'Mend the surfaces named under "Not checked" with musclefit repair IN OUT.'
 
 REST_OVERLAP = f"Take it away with {PRIORITY}."
+REST_UNUSABLE = "Mend the surfaces named with musclefit repair IN OUT, or leave them out."
+REST_FAULTS = "Mend the surfaces named with musclefit repair IN OUT, or leave this out of --fail-on."
 REST_OUT_OF_SKIN = "Give the skin or the tissue named another surface, or another kind with --kind NAME=KIND."
 
 POSE_REFUSED = "Keep to the largest feasible pose named; musclefit joint-range RIG says how far each joint can turn."

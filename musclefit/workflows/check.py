@@ -8,16 +8,25 @@ from pathlib import Path
 from typing import Any
 
 from musclefit.anatomy.model import Anatomy
+from musclefit.errors import InputError
 from musclefit.io.anatomy import read_anatomy
 from musclefit.io.provenance import measured
 from musclefit.io.run_folder import Maker, claimed, write_inspection
 from musclefit.pipeline.inspect import inspect
 from musclefit.progress import Progress
 from musclefit.report.model import MeshReport
+from musclefit.validate.model import NotChecked
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import KindsGiven, kinds_given, paths_given, word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
+
+FAULTS = (
+    *("self-crossing", "self-touching", "non-manifold", "zero-area", "pieces", "cavities", "nested", "unused-vertices"),
+    *("merged-vertices", "repeated-vertices", "repeated-faces", "turned-faces", "inside-out", "cut-polygons"),
+    *("unknown-kind", "not-read"),
+)
+"""Findings that `check` can be told to fail on; surfaces that are open or have no inside always fail it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -49,6 +58,7 @@ def check(
     out: str | Path | None = None,
     units: Unit | str = Unit.MILLIMETRE,
     kinds: KindsGiven = (),
+    fail_on: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Checked:
     """Report the overlaps and mesh faults of a layered anatomy as it is.
@@ -63,19 +73,29 @@ def check(
         Of the files.
     kinds : mapping of name or pattern to {"skin", "muscle", "bone", "other"}
         What tissues are, ahead of what their file names say.
+    fail_on : sequence of str
+        Findings that fail the check beside overlaps and surfaces without an inside: any of ``FAULTS``.
     progress : Progress, optional
 
     Raises
     ------
     InputError, MeshError
-        Files that cannot be read.
+        Files that cannot be read, or none that can be used; a surface that cannot be used is left out and fails the
+        check, as long as another one can be.
     """
+    unknown = [code for code in fail_on if code not in FAULTS]
+    if unknown:
+        raise InputError(f"fail_on: found {unknown[0]!r}; known are {', '.join(FAULTS)}")
     with claimed(None if out is None else Path(out), by=Maker.CHECK):
         unit, files = word(Unit, units, what="units"), paths_given(paths)
         with watched(progress) as stages:
             source = files[0] if len(files) == 1 and files[0].is_dir() else files
-            read = read_anatomy(source, units=unit, kinds=kinds_given(kinds), progress=stages)
-            found = inspect(read.anatomy, findings=read.findings, title=str(files[0]), progress=stages)
+            read = read_anatomy(source, units=unit, kinds=kinds_given(kinds), progress=stages, leave_out=True)
+            findings = (*read.unusable, *read.findings)
+            found = inspect(read.anatomy, findings=findings, title=str(files[0]), progress=stages)
+        left = tuple(NotChecked(finding.subject, finding.message) for finding in read.unusable)
+        overlaps = replace(found.overlaps, not_checked=(*left, *found.overlaps.not_checked))
+        found = replace(found, overlaps=overlaps, fail_on=tuple(fail_on))
         report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
         if out is not None:
             write_inspection(Path(out), report)

@@ -236,7 +236,7 @@ def truncated_obj(at: Place) -> Sequence[str]:
     return _exported(at, "obj", keep=0.8)
 
 
-@case("bone_distal.vtp", "not a whole VTP file", "</VTKFile>", "export")
+@case("bone_distal.vtp", "not a whole VTK XML file", "</VTKFile>", "export")
 def truncated_vtp(at: Place) -> Sequence[str]:
     import pyvista as pv
 
@@ -299,7 +299,7 @@ def flat_mesh(at: Place) -> Sequence[str]:
     return _rewritten(at, TISSUES["bone_distal"].vertices * (1, 1, 0), TISSUES["bone_distal"].faces)
 
 
-@case("{bone}", "farther than 1e+09 mm", "units")
+@case("{bone}", "no place of a body (at most 1e+09)", "units")
 def absurd_coordinate(at: Place) -> Sequence[str]:
     return _rewritten(at, TISSUES["bone_distal"].vertices * 1e12, TISSUES["bone_distal"].faces)
 
@@ -620,7 +620,7 @@ def transform_that_is_not_finite(at: Place) -> Sequence[str]:
     return _with_transforms(at, _QUATERNIONS + "bone_distal,0,1,0,0,0,nan,0,0\n")
 
 
-@case("'bone_distal' at 0 s", "translation holds 1e+300 mm")
+@case("drive.transforms", "a coordinate of 1e+300 mm, which is no place of a body")
 def huge_transform(at: Place) -> Sequence[str]:
     return _with_transforms(at, _QUATERNIONS + "bone_distal,0,1,0,0,0,1e300,0,0\n")
 

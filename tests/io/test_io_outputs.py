@@ -352,7 +352,7 @@ def test_inspections_are_written_and_replace_one_another(tmp_path):
     report = MeshReport("arm", "mm", tissues, (), OverlapCheck((), 0, ()))
     for _ in range(2):
         write_inspection(tmp_path / "out", report)
-    assert _listing(tmp_path / "out") == ["report.html", "report.json"]
+    assert _listing(tmp_path / "out") == ["report.html", "report.json", "report.junit.xml"]
 
 
 def test_ply_states_what_it_holds():

@@ -63,6 +63,6 @@ def in_mm(positions: Points, units: Unit, *, source: str, error: type[InputError
         found = positions[large].flat[0]
         raise error(
             f"{source}: has a coordinate of {found:.6g} {units}, which is no place of a body (at most "
-            f"{LARGEST_MM / units.in_mm:.0e}); the file is damaged, export it again"
+            f"{LARGEST_MM / units.in_mm:.0e}); the file is damaged or its units are wrong"
         )
     return scaled

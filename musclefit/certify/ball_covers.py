@@ -50,6 +50,9 @@ STEEPEST = 0.99
 RESIDUAL_SHARE = 0.02
 """Of a ball's radius: how well its midpoint is solved for; the rest is part of t."""
 
+SOLVED = 1e-11
+"""Of the coordinates: midpoints are found when they are solved to this, however small their balls."""
+
 NEWTON_ITERATIONS = 40
 
 
@@ -160,7 +163,7 @@ def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:
     reach = (cover.radii + residual + _coordinate_rounding(cover.points, values)) * UP
     n_points = len(middle)
     radii, strain, found = reach.copy(), np.zeros(n_points), np.zeros(n_points, dtype=bool)
-    hopeless = residual > np.maximum(cover.radii, 1e-6)
+    hopeless = ~(residual <= np.maximum(cover.radii, SOLVED * (1e-6 + np.abs(cover.points).sum(axis=1))))
     left = np.flatnonzero(np.isfinite(reach) & ~hopeless)
     sampled = 0.5 * symmetric_eigenvalues(field.gradient(middle[left]))[:, -1]
     hopeless[left] = ~(sampled < STEEPEST)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from musclefit.errors import MeshError
-from musclefit.geometry.arrays import Bool, Float, Points
+from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 
 UP = 1.0 + 1e-12
@@ -60,20 +60,21 @@ class Patches:
         """These and then the others."""
         return Patches(np.concatenate([self.centres, other.centres]), np.concatenate([self.halves, other.halves]))
 
-    def split(self) -> Patches:
-        """Each in four (in the plane in two)."""
+    def split(self) -> tuple[Patches, Int]:
+        """Each in four (in the plane in two), and (C,) the numbers of those that the children are of."""
         n = self.centres.shape[1]
         signs = np.array(list(np.ndindex(*(2,) * n)), dtype=np.float64) * 2.0 - 1.0
-        children = []
+        children, parents = [], []
         half = 0.5 * self.halves
         for k in range(n):  # pieces normal to axis k: one child for each pair of signs along the others
-            normal = np.argmin(self.halves, axis=1) == k
-            flat, own = self.only(normal), half[normal]
-            children += [Patches(flat.centres + sign * own, own) for sign in signs[signs[:, k] > 0.0]]
+            normal = np.flatnonzero(np.argmin(self.halves, axis=1) == k)
+            flat, own = self.centres[normal], half[normal]
+            children += [Patches(flat + sign * own, own) for sign in signs[signs[:, k] > 0.0]]
+            parents += [normal] * int((signs[:, k] > 0.0).sum())
         whole = children[0]
         for more in children[1:]:
             whole = whole.joined(more)
-        return whole
+        return whole, np.concatenate(parents)
 
 
 def box_shell(points: Points) -> Patches:

@@ -27,6 +27,9 @@ SMALL_ENOUGH = 1e-4
 OVERLAP = 1e-12
 """Of the coordinates: boxes are evaluated a little larger, so that no rounding of their centres leaves a gap."""
 
+AT_LIMIT = 1e-12
+"""Sampled margins up to this are told from none by no proof: rounding is as large."""
+
 KEPT = 32
 """Places with the smallest sampled margins that are kept."""
 
@@ -47,6 +50,8 @@ class BoxProof:
         Boxes evaluated, and boxes on which the condition stayed unproved.
     fails : bool
         The condition is proved not to hold at ``places[0]``: no more boxes can help.
+    ended : str
+        Why there is no proof, in words; empty where there is one.
     """
 
     margin: float
@@ -55,6 +60,7 @@ class BoxProof:
     examined: int
     left: int
     fails: bool
+    ended: str
 
 
 class _Search:
@@ -137,6 +143,7 @@ def prove(
     centres, halves = hull.cells(FIRST_CELLS)
     inherited = np.full(len(centres), -np.inf)  # proved margins of the boxes these were cut from
     extent = float((hull.high - hull.low).max())
+    too_small = False
     while len(centres) and search.examined + len(centres) <= max_boxes:
         proved, sampled = search.evaluate(centres, halves)
         if search.failing():
@@ -147,20 +154,40 @@ def prove(
         done = (proved > 0.0) & ((proved >= search.needed) | (width < SMALL_ENOUGH * extent))
         search.proved = min(search.proved, float(proved[done].min(initial=np.inf)))
         centres, halves, inherited, sampled = centres[~done], halves[~done], proved[~done], sampled[~done]
-        if stuck[~done].any():
+        too_small = bool(stuck[~done].any())
+        if too_small:
             break
         centres, halves, inherited = _cut(centres, halves, inherited, sampled, search.needed)
         kept = hull.meets(centres, halves + search.overlap)
         centres, halves, inherited = centres[kept], halves[kept], inherited[kept]
         tick(min(1.0, search.examined / max_boxes))
-    margin = min(search.proved, float(inherited.min(initial=np.inf)))
+    margin = -np.inf if search.fails else min(search.proved, float(inherited.min(initial=np.inf)))
     return BoxProof(
-        margin=-np.inf if search.fails else margin,
+        margin=margin,
         sampled_margin=float(search.samples[0]) if len(search.samples) else np.inf,
         places=search.places,
         examined=search.examined,
         left=int(np.sum(~(inherited > 0.0))),
         fails=search.fails,
+        ended="" if margin > 0.0 else _why(search, too_small=too_small, max_boxes=max_boxes, waiting=len(centres)),
+    )
+
+
+def _why(search: _Search, *, too_small: bool, max_boxes: int, waiting: int) -> str:
+    """Why a search ended without a proof."""
+    if search.fails:
+        return "the sufficient condition is proved not to hold at the worst place"
+    worst = float(search.samples[0]) if len(search.samples) else np.nan
+    if worst <= AT_LIMIT:
+        return f"the condition is at its limit at the worst place (sampled margin {worst:.3g}): no more boxes can help"
+    if too_small:
+        return (
+            f"boxes of {SMALLEST:g} of the domain's extent are not proved and no smaller ones help: the field has no "
+            f"close bounds there (smallest sampled margin {worst:.3g})"
+        )
+    return (
+        f"the budget of boxes is spent: {waiting} more were to be examined after {search.examined}, of at most "
+        f"{max_boxes} that this step had left"
     )
 
 

@@ -50,6 +50,13 @@ class Hull:
         within: Bool = np.less_equal(points @ self.directions.T, self.limits)
         return np.logical_and.reduce(within, axis=1)  # type: ignore[no-any-return]
 
+    def holds_balls(self, points: Points, radii: Float) -> Bool:
+        """(N,) which balls lie in it as a whole."""
+        lengths = np.sqrt((self.directions**2).sum(axis=1))
+        farthest = points @ self.directions.T + radii[:, None] * lengths
+        within: Bool = np.less_equal(farthest, self.limits)
+        return np.logical_and.reduce(within, axis=1)  # type: ignore[no-any-return]
+
     def meets(self, centres: Points, half_widths: Float) -> Bool:
         """(B,) which boxes may have a point in it; only boxes that no single side holds out."""
         nearest = centres @ self.directions.T - half_widths @ np.abs(self.directions).T

@@ -26,6 +26,9 @@ StepOf = tuple[StepKind, Field]
 Inside = Callable[[Points], Bool]
 """Which points at rest belong to the body."""
 
+LARGEST_SIZE = 1e80
+"""Of a matrix whose determinant is enclosed: the cube is a number."""
+
 FOLDED_SAMPLES = 16
 """Points of the body, of those that the step turns inside out, that a proof is tried for before any others."""
 
@@ -139,7 +142,7 @@ def _agreed_midpoint(field: Field, point: Points) -> Points:
         if not abs(np.linalg.det(matrix)) > 1e-6:
             return np.zeros((0, point.shape[1]))
         start = start - np.linalg.solve(matrix, start[0] - 0.5 * values[0] - point[0])[None]
-    reach = 1e-6 * (1.0 + float(np.abs(point).max()))
+    reach = 1e-6 * float(np.abs(usual - point).max()) + 1e-11 * float(np.abs(point).max())
     agreed = np.abs(branch - usual).max() < reach and np.abs(start - usual).max() < reach
     return usual if agreed else np.zeros((0, point.shape[1]))
 
@@ -199,6 +202,8 @@ def _determinant_range(matrix: Float, radius: float) -> tuple[float, float]:
     """
     n = len(matrix)
     size = float(np.linalg.norm(matrix, "fro")) * (1.0 + 1e-12) + radius
+    if not size < LARGEST_SIZE:
+        return -np.inf, np.inf
     off = (n * radius * size ** (n - 1) + 1e-13 * size**n) * (1.0 + 1e-12)
     value = float(np.linalg.det(matrix))
     return value - off, value + off

@@ -170,7 +170,7 @@ def _judge(
         found.append(step)
         tick((number + 1) / len(steps))
         if number + 1 < len(steps):
-            body.move(kind, field, trial.midpoints)
+            body.move(kind, field, trial.midpoints, trial.hull)
     return tuple(found), ()
 
 
@@ -181,6 +181,7 @@ class _Body:
         self.patches, self.parts, self.single = patches, parts, single
         self.cover = Cover(patches.centres, patches.radii())
         self.steps: list[tuple[StepKind, Field]] = []
+        self.hulls: list[Hull] = []
         self._narrow()
 
     @classmethod
@@ -260,8 +261,14 @@ class _Body:
 
     def _cut(self, pieces: Bool) -> Cover:
         """Replace pieces by their children, which then stand last; gives the children's balls."""
-        children = self.patches.only(pieces).split()
+        children, parents = self.patches.only(pieces).split()
         cover = self._carried(children)
+        # A child is in the ball of the piece that it is of, too.
+        narrower = cover.radii < self.cover.radii[pieces][parents]
+        cover = Cover(
+            np.where(narrower[:, None], cover.points, self.cover.points[pieces][parents]),
+            np.where(narrower, cover.radii, self.cover.radii[pieces][parents]),
+        )
         self.patches = self.patches.only(~pieces).joined(children)
         self.cover = Cover(
             np.concatenate([self.cover.points[~pieces], cover.points]),
@@ -270,21 +277,26 @@ class _Body:
         return cover
 
     def _carried(self, patches: Patches) -> Cover:
-        """The balls to which the steps so far take pieces; of infinite radius where that is not proved."""
+        """The balls to which the steps so far take pieces; of infinite radius where that is not proved.
+
+        A midpoint counts only in the hull that its step was proved on: the equation may have others elsewhere.
+        """
         cover = Cover(patches.centres, patches.radii())
-        for kind, field in self.steps:
+        for (kind, field), hull in zip(self.steps, self.hulls, strict=True):
             if kind is StepKind.EXPLICIT:
                 cover = explicit_image(field, cover)
                 continue
             midpoints = cayley_midpoints(field, cover)
             cover = cayley_image(field, midpoints)
-            cover = Cover(cover.points, np.where(midpoints.found, cover.radii, np.inf))
+            proved = midpoints.found & hull.holds_balls(midpoints.points, midpoints.radii)
+            cover = Cover(cover.points, np.where(proved, cover.radii, np.inf))
         return cover
 
-    def move(self, kind: StepKind, field: Field, midpoints: Midpoints | None) -> None:
-        """Take the surface through a step that is proved."""
+    def move(self, kind: StepKind, field: Field, midpoints: Midpoints | None, hull: Hull) -> None:
+        """Take the surface through a step that is proved on a hull."""
         self.cover = explicit_image(field, self.cover) if midpoints is None else cayley_image(field, midpoints)
         self.steps.append((kind, field))
+        self.hulls.append(hull)
         self._narrow()
 
 
@@ -362,7 +374,9 @@ class _Trial:
         elif held.radii.max() > WIDEST_BALL * float(np.ptp(held.points, axis=0).max() + 1.0):
             self.blocked = "the balls that enclose the moved surface grew too wide"
         self.places = held.points[kept]
-        self.hull = Hull.around(self.places, held.radii[kept])
+        # Where nothing is known of where the surface goes, the domain that is told of is where it comes from.
+        known = held if kept.any() else Cover(body.cover.points, np.zeros(len(kept)))
+        self.hull = Hull.around(known.points[kept | ~kept.any()], known.radii[kept | ~kept.any()])
 
     def prove(self, max_boxes: int, margin_share: float, tick: Tick) -> BoxProof | None:
         """Branch and bound on the step's domain; nothing where there is none."""
@@ -385,8 +399,7 @@ class _Trial:
         else:
             margin, examined, left = proof.sampled_margin, proof.examined, proof.left
             place = _place(proof.places[0]) if len(proof.places) else (np.nan,) * n
-            note = "the sufficient condition is proved not to hold at the worst place" if proof.fails else ""
-            note = note or ("the budget of boxes is spent, or no smaller boxes help" if not proof.margin > 0.0 else "")
+            note = proof.ended
         certified = proof is not None and proof.margin > 0.0
         return StepCertificate(
             kind=self.kind,

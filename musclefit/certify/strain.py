@@ -11,6 +11,9 @@ from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Float, Gradients, Points
 from musclefit.vocabulary import StepKind
 
+LARGEST = 1e150
+"""Gradients with larger entries are beyond what is computed with."""
+
 
 @runtime_checkable
 class StrainBounded(Protocol):
@@ -93,8 +96,16 @@ def cubes(radii: Float, n: int) -> Float:
 
 
 def symmetric_eigenvalues(gradients: Gradients) -> Float:
-    """(B, n) eigenvalues of the symmetric parts, ascending, as LAPACK computes them."""
-    values: Float = np.asarray(np.linalg.eigvalsh(0.5 * (gradients + gradients.transpose(0, 2, 1))), dtype=np.float64)
+    """(B, n) eigenvalues of the symmetric parts, ascending, as LAPACK computes them; NaN where entries are no numbers.
+
+    Entries beyond 1e150, whose squares are no numbers, count as those.
+    """
+    symmetric = 0.5 * (gradients + gradients.transpose(0, 2, 1))
+    known = np.abs(symmetric).max(axis=(1, 2), initial=0.0) < LARGEST
+    if known.all():
+        return np.asarray(np.linalg.eigvalsh(symmetric), dtype=np.float64)
+    values = np.full(symmetric.shape[:2], np.nan)
+    values[known] = np.linalg.eigvalsh(symmetric[known])
     return values
 
 

@@ -23,7 +23,8 @@ from attacks import (
 )
 
 from musclefit.certify.body_shells import box_shell, skin_shell
-from musclefit.certify.maps import certify_map
+from musclefit.certify.domains import Hull
+from musclefit.certify.maps import _Body, certify_map
 from musclefit.certify.model import Fold
 from musclefit.errors import InputError, MeshError, NotConvergedError
 from musclefit.fields.kernels import KERNELS
@@ -322,7 +323,7 @@ def test_a_shell_holds_its_skin_and_is_closed() -> None:
 def test_pieces_of_a_shell_are_covered_by_their_children() -> None:
     rng = np.random.default_rng(0)
     for shell in (box_shell(BODY), box_shell(BODY[:, :2])):
-        children = shell.split()
+        children, _ = shell.split()
         n = shell.centres.shape[1]
         assert len(children) == 2 ** (n - 1) * len(shell)
         points = shell.centres + rng.uniform(-1.0, 1.0, shell.centres.shape) * shell.halves
@@ -416,3 +417,37 @@ def test_boxes_inside_a_shell_are_told_from_those_that_reach_out_of_it() -> None
         out = ~known.all() or shell.outside[tuple(cells[known].T)].any()
         assert held[box] == (not out)
     assert 0.05 < held.mean() < 0.95
+
+
+# --- fields beyond all numbers, reasons, branches
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("kind", [E, C])
+@pytest.mark.parametrize("size", [1e100, 1e154, 1e200, 1e300, np.inf, np.nan])
+def test_fields_beyond_all_numbers_are_undecided(kind: StepKind, size: float) -> None:
+    certificate = certify_map([(kind, bump(np.array([0.0, size, 0.0])))] * 2, BODY, max_boxes=5000)
+    assert certificate.claim is not Claim.CERTIFIED
+    assert certificate.claim is Claim.REFUTED or certificate.steps[-1].note
+
+
+def test_the_reason_of_an_open_claim_is_the_true_one() -> None:
+    short = certify_map([(E, bump(np.array([0.0, 23.0, 0.0])))], BODY, max_boxes=1500)
+    assert "the budget of boxes is spent" in short.steps[0].note
+    collapse = certify_map([(E, affine(-np.eye(3)))], BODY)
+    assert collapse.claim is Claim.UNDECIDED
+    assert collapse.boxes_examined < collapse.max_boxes
+    assert "budget" not in collapse.steps[0].note
+
+
+def test_midpoints_of_pieces_count_only_in_the_hull_of_their_step() -> None:
+    """The hull that a step was proved on holds whole balls, or the piece has no proved image."""
+    hull = Hull.around(np.zeros((1, 3)), np.array([10.0]))
+    centres = np.array([[0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [9.5, 0.0, 0.0], [6.5, 6.5, 6.5]])
+    assert hull.holds_balls(centres, np.ones(4)).tolist() == [True, True, False, False]
+    body = _Body.of(BODY, voxels=40, tissues=(), points=None)
+    field = bump(np.array([0.0, 5.0, 0.0]))
+    midpoints = body.midpoints(field)
+    elsewhere = Hull.around(np.full((1, 3), 500.0), np.ones(1))
+    body.move(C, field, midpoints, elsewhere)
+    assert np.isinf(body._carried(body.patches).radii).all()

@@ -15,9 +15,10 @@ from typing import Any
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, RigError
+from musclefit.geometry.images.grids import stated_frame
 from musclefit.io import drives as _drives  # noqa: F401 (makes them known)
 from musclefit.io.anatomy import read_anatomy
-from musclefit.io.formats.points import outside_findings, read_points
+from musclefit.io.formats.points import in_anatomy_frame, outside_findings, points_frame, read_points
 from musclefit.io.formats.tables import parse_toml
 from musclefit.io.named_files import NamedFiles
 from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
@@ -154,7 +155,11 @@ def _read_further(rig: Rig, given: Sequence[Path], files: NamedFiles) -> tuple[A
     for path in (*(Path(written) for written in rig.anatomy.points), *given):
         try:
             files.read(path, key="anatomy.points")
-            read = read_points(path, units=rig.anatomy.units)
+            read = in_anatomy_frame(
+                read_points(path, units=rig.anatomy.units),
+                own=points_frame(path, units=rig.anatomy.units),
+                anatomy=stated_frame(rig.anatomy.frame),
+            )
             if read.name in found:
                 raise InputError(f"{path}: two files of points are named {read.name!r}; rename one")
         except InputError as error:

@@ -34,7 +34,14 @@ from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
 
-TOLD_BEFORE = ("cage-crossing", "unmatched-landmarks", "averaged-frames", "points-outside-skin")
+TOLD_BEFORE = (
+    "cage-crossing",
+    "frame-not-stated",
+    "one-frame",
+    "unmatched-landmarks",
+    "averaged-frames",
+    "points-outside-skin",
+)
 """Findings that are told before the long work; the report lists them all."""
 
 

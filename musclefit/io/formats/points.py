@@ -10,6 +10,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -19,6 +20,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, MeshError
 from musclefit.geometry.arrays import Points, frozen
+from musclefit.geometry.images.grids import Frame, in_frame, stated_frame
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.winding import winding_numbers
@@ -62,6 +64,25 @@ def read_points(path: Path, *, units: Unit) -> AttachedPoints:
     if not len(points):
         raise InputError(f"{path}: has no point; correct the path, or leave it out")
     return AttachedPoints(path.name, frozen(points), rewrite)
+
+
+def points_frame(path: Path, *, units: Unit) -> Frame | None:
+    """The frame that Slicer's markups state; None for files that state none."""
+    if not path.name.lower().endswith((".fcsv", ".mrk.json")):
+        return None
+    return stated_frame(read_landmarks(path, units=units).coordinate_system)
+
+
+def in_anatomy_frame(file: AttachedPoints, *, own: Frame | None, anatomy: Frame | None) -> AttachedPoints:
+    """The points in the anatomy's frame, where both state theirs; they are written in their own, as they were read."""
+    if own is None or anatomy is None or own is anatomy:
+        return file
+    back = partial(in_frame, of=anatomy, to=own)
+    return AttachedPoints(
+        file.name,
+        frozen(in_frame(file.points, of=own, to=anatomy)),
+        lambda moved, out: file.rewrite(back(moved), out),
+    )
 
 
 def outside_findings(further: Sequence[AttachedPoints], anatomy: Anatomy) -> tuple[Finding, ...]:

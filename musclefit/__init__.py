@@ -2,8 +2,8 @@
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
 `fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export`,
-`import_osim`, `architecture` and `init`. They and what they give back are stable, as are the other names of this
-module; what is in the rooms below may change with any version.
+`export_osim`, `import_osim`, `architecture` and `init`. They and what they give back are stable, as are the other names
+of this module; what is in the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.cage import cage
     from musclefit.workflows.check import check
     from musclefit.workflows.export import export
+    from musclefit.workflows.export_osim import export_osim
     from musclefit.workflows.fit_body import fit_body
     from musclefit.workflows.fit_joint import fit_joint
     from musclefit.workflows.import_osim import import_osim
@@ -76,6 +77,7 @@ _HOMES = {
     "cage": "workflows.cage",
     "check": "workflows.check",
     "export": "workflows.export",
+    "export_osim": "workflows.export_osim",
     "find_rig": "io.rigs",
     "fit_body": "workflows.fit_body",
     "fit_joint": "workflows.fit_joint",
@@ -131,6 +133,7 @@ __all__ = [
     "cage",
     "check",
     "export",
+    "export_osim",
     "find_rig",
     "fit_body",
     "fit_joint",

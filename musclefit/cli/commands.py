@@ -22,6 +22,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.cli.architecture import architecture
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
+from musclefit.cli.export_osim import export_osim
 from musclefit.cli.fit_body import fit_body
 from musclefit.cli.fit_joint import fit_joint
 from musclefit.cli.import_osim import import_osim
@@ -205,6 +206,7 @@ def check(
 app.command(warp_image, name="warp-image", sort_key=4)
 app.command(warp_field, name="warp-field", sort_key=4)
 app.command(warp_deck, name="warp-deck", sort_key=4)
+app.command(export_osim, name="export-osim", sort_key=5)
 app.command(import_osim, name="import-osim", sort_key=5)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(export, sort_key=5)

@@ -30,6 +30,7 @@ COMMANDS = (
     "warp_deck",
     "export",
     "import_osim",
+    "export_osim",
     "init",
 )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,12 +52,13 @@ _POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BodyMesh:
-    """A file of geometry on a body: its place there (mm) and factors of its three axes before that."""
+    """A file of geometry on a body: its place there (mm), factors of its three axes before that, where it is named."""
 
     body: str
     file: str
     place: RigidMotion
     factors: Float
+    element: Element
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,6 +105,8 @@ class OpenSimModel:
     wraps : tuple of WrapObject
     not_followed : tuple of str
         What the kinematics leave out, in words.
+    joint_places : mapping of joint to two Elements or None
+        Where the places of its frames in parent and child stand; None where they are the bodies' own.
     data : bytes
     root : Element
     """
@@ -116,6 +119,7 @@ class OpenSimModel:
     points: tuple[BodyPoint, ...]
     wraps: tuple[WrapObject, ...]
     not_followed: tuple[str, ...]
+    joint_places: Mapping[str, tuple[Element | None, Element | None]]
     data: bytes
     root: Element
 
@@ -151,7 +155,7 @@ class _Reader:
     data: bytes
     root: Element
     bodies: Mapping[str, Element] | None = None
-    frames: dict[str, tuple[str, RigidMotion]] | None = None
+    joint_places: dict[str, tuple[Element | None, Element | None]] = field(default_factory=dict)
     length_mm: float = 1000.0
 
     def read(self) -> OpenSimModel:
@@ -163,7 +167,6 @@ class _Reader:
         if not bodies:
             raise InputError(f"{self.source}: the model has no body; expected a <BodySet> with bodies")
         self.bodies = bodies
-        self.frames = {}
         coordinates: dict[str, Coordinate] = {}
         joints = [self._joint(element, child, coordinates) for element, child in self._joints()]
         multibody = Multibody.of(joints, coordinates, self._couplers(coordinates), source=self.source)
@@ -179,6 +182,7 @@ class _Reader:
             points=(*self._path_points(), *self._markers(), *self._mass_centres()),
             wraps=tuple(self._wraps()),
             not_followed=self._not_followed(),
+            joint_places=self.joint_places,
             data=self.data,
             root=self.root,
         )
@@ -206,10 +210,14 @@ class _Reader:
             parent = joint.words("parent_body")
             in_parent = self._frame_of(joint, "location_in_parent", "orientation_in_parent")
             in_child = self._frame_of(joint, "location", "orientation")
+            self.joint_places[joint.name] = joint.child("location_in_parent"), joint.child("location")
         else:
             offsets = self._offsets(joint)
             parent, in_parent = self._named(joint, "parent_frame", offsets)
             child, in_child = self._named(joint, "child_frame", offsets)
+            own = {frame.name: frame.child("translation") for frame in joint.objects("frames")}
+            sockets = (_socket(joint, "parent_frame"), _socket(joint, "child_frame"))
+            self.joint_places[joint.name] = own.get(sockets[0]), own.get(sockets[1])
         listed = list(joint.all("Coordinate"))
         turns, slides = self._axes(joint, [element.name for element in listed])
         for element in listed:
@@ -385,7 +393,9 @@ class _Reader:
                         name, place = self._resolve(socket, mesh)
                     else:
                         place = self._attached(body, mesh)
-                yield BodyMesh(name, file, place, factors)
+                where = mesh.child("mesh_file") or mesh.child("geometry_file")
+                assert where is not None
+                yield BodyMesh(name, file, place, factors, where)
 
     def _attached(self, body: Element, mesh: Element) -> RigidMotion:
         """The place of the frame that a mesh stands in: the body's own, or that of one of its offset frames."""

@@ -1,0 +1,101 @@
+"""`musclefit export-osim`: a model carried by a map, opened by OpenSim's library, compared with what was meant."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tiny_osim import MODEL, opensim_places, write_tiny_osim
+
+import musclefit as mf
+from musclefit.cli import main
+from musclefit.io.formats.osim import parse_osim
+from musclefit.rig.wrap_fits import fitted_wrap, wrap_samples
+
+LINEAR = np.array([[1.1, 0.05, 0.0], [0.0, 1.2, 0.0], [0.0, 0.1, 0.9]])
+SHIFT = np.array([5.0, -3.0, 2.0])
+
+
+@pytest.fixture
+def carried(tmp_path: Path) -> tuple[Path, Path]:
+    """A model, and the rig that takes it along by an affine map."""
+    model = write_tiny_osim(tmp_path / "model")
+    mf.import_osim(model, tmp_path / "rig", progress=None)
+    bones = mf.read_anatomy(tmp_path / "rig" / "bones").anatomy
+    low, high = bones.vertices().min(axis=0), bones.vertices().max(axis=0)
+    corners = np.array(
+        [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
+    rows = ["name,x_mm,y_mm,z_mm,target_x_mm,target_y_mm,target_z_mm"]
+    for k, corner in enumerate(corners):
+        rows.append(f"p{k}," + ",".join(repr(float(x)) for x in (*corner, *(LINEAR @ corner + SHIFT))))
+    (tmp_path / "rig" / "pairs.csv").write_text("\n".join(rows) + "\n")
+    rig = tmp_path / "rig" / "to_subject.toml"
+    rig.write_text(
+        'title = "subject"\n[anatomy]\nfolder = "bones"\n[anatomy.kinds]\n"*" = "bone"\n[drive]\nkind = "landmarks"\n'
+        'source = "pairs.csv"\n[deformer]\nkernel = "r3"\n[certificate]\nenabled = false\n'
+    )
+    return model, rig
+
+
+def test_the_model_stands_where_the_map_takes_it_and_opensim_opens_it(
+    carried: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, rig = carried
+    assert main(["export-osim", str(rig), str(model), str(tmp_path / "out"), "--quiet", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    out = tmp_path / "out" / "tiny.osim"
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, out))
+    before, after = old.multibody.places({}), new.multibody.places({})
+    opened = opensim_places(out, new.multibody.values({}))
+    for one, other in zip(old.points, new.points, strict=True):
+        meant = LINEAR @ before[one.body](one.at[None])[0] + SHIFT
+        np.testing.assert_allclose(after[other.body](other.at[None])[0], meant, atol=1e-6)
+        rotation, translation = opened[other.body]
+        np.testing.assert_allclose(rotation @ other.at + translation, meant, atol=1e-6)
+    (muscle,) = said["muscles"]
+    ratio = muscle["length_after_mm"] / muscle["length_before_mm"]
+    fibre = re.search(r"<optimal_fiber_length>(.*)</optimal", out.read_text())
+    assert fibre is not None
+    assert float(fibre[1]) == pytest.approx(0.05 * ratio, rel=1e-9)
+    assert said["wraps"][0]["largest_mm"] < 5.0
+    vertices = mf.read_anatomy(
+        [tmp_path / "out" / "Geometry" / "foot__foot.obj"], units=mf.Unit.METRE
+    ).anatomy.vertices()
+    scaled = after["foot"](vertices * (1.0, 1.2, 1.0))
+    meant = mf.read_anatomy(tmp_path / "rig" / "bones").anatomy["foot__foot"].surface.vertices @ LINEAR.T + SHIFT
+    np.testing.assert_allclose(np.sort(scaled, axis=0), np.sort(meant, axis=0), atol=1e-3)
+
+
+def test_all_that_is_no_place_stays_byte_for_byte(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    model, rig = carried
+    mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    numbers = re.compile(
+        r">[^<>]*</(translation|location|mass_center|xyz_body_rotation|radius|length|mesh_file|optimal_fiber_length|tendon_slack_length)>"
+    )
+    assert numbers.sub("", (tmp_path / "out" / "tiny.osim").read_text()) == numbers.sub("", MODEL)
+
+
+def test_a_rig_elsewhere_is_refused(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    model, rig = carried
+    model.write_text(MODEL.replace("<translation>0 0 0</translation>", "<translation>90 0 0</translation>"))
+    with pytest.raises(
+        mf.InputError, match=r"mm from the rig's anatomy; the rig must stand in the model's ground frame"
+    ):
+        mf.export_osim(rig, model, tmp_path / "out", progress=None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes"),
+    [("WrapCylinder", (10, 60)), ("WrapSphere", (10,)), ("WrapEllipsoid", (10, 20, 30)), ("WrapTorus", (5, 20))],
+)
+def test_wraps_follow_turns_and_even_scaling_exactly(kind: str, sizes: tuple[float, ...]) -> None:
+    samples = wrap_samples(kind, np.array(sizes, dtype=float))
+    turn = mf.RigidMotion.about_axis(centre=np.array([1.0, 2.0, 3.0]), axis=np.array([1.0, 1.0, 0.0]), angle_deg=40.0)
+    fit = fitted_wrap(kind, np.array(sizes, dtype=float), samples=samples, moved=turn(samples * 1.3))
+    np.testing.assert_allclose(fit.sizes_mm, 1.3 * np.array(sizes), rtol=1e-12)
+    np.testing.assert_allclose(fit.place.rotation, turn.rotation, atol=1e-12)
+    assert fit.largest_mm < 1e-9

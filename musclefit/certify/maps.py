@@ -78,6 +78,10 @@ MAX_SPLITS = 10
 MAX_PATCHES = 400_000
 """Pieces of the surface."""
 
+PIECES_PER_BOX = 4
+"""Of the budget of boxes: so many pieces of the surface may be made by cutting and carried through steps, for each of
+the shells that are tried."""
+
 WIDE_BALL = 0.02
 """Of the size of the body: pieces in wider balls are cut."""
 
@@ -112,7 +116,8 @@ def certify_map(
     points : (N, n) float64, mm, or None
         Single points that the map moves as well, inside the skin or outside.
     max_boxes : int
-        Budget over all steps. When it is spent on a step that is not proved yet, the claim is UNDECIDED.
+        Budget over all steps, and of the pieces of the surface with it (``PIECES_PER_BOX``). When it is spent on a step
+        that is not proved yet, the claim is UNDECIDED.
     margin_share : float
         In [0, 1): how much of the smallest sampled margin the proved one must reach; larger costs more boxes. A budget
         that does not reach it, but a positive margin everywhere, certifies that.
@@ -137,6 +142,7 @@ def certify_map(
         spent, tick = 0, _never_back(raw_tick)
         for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
             body = _Body.of(skin, voxels=voxels, tissues=tissues, points=points)
+            body.pieces_left = PIECES_PER_BOX * max_boxes
             found, fold = _judge(steps, body, max_boxes=max_boxes - spent, margin_share=margin_share, tick=tick)
             spent += sum(step.boxes_examined for step in found)
             if not found or found[-1].claim is not Claim.UNDECIDED or spent >= max_boxes:
@@ -182,6 +188,7 @@ class _Body:
         self.cover = Cover(patches.centres, patches.radii())
         self.steps: list[tuple[StepKind, Field]] = []
         self.hulls: list[Hull] = []
+        self.pieces_left = MAX_PATCHES
         self._narrow()
 
     @classmethod
@@ -257,11 +264,14 @@ class _Body:
             self._cut(cut)
 
     def _may_cut(self, pieces: Bool) -> bool:
-        return bool(pieces.any()) and len(pieces) + 3 * int(pieces.sum()) <= MAX_PATCHES
+        made = 4 * int(pieces.sum())
+        fits = len(pieces) + made <= MAX_PATCHES and made * (1 + len(self.steps)) <= self.pieces_left
+        return made > 0 and fits
 
     def _cut(self, pieces: Bool) -> Cover:
         """Replace pieces by their children, which then stand last; gives the children's balls."""
         children, parents = self.patches.only(pieces).split()
+        self.pieces_left -= len(children) * (1 + len(self.steps))
         cover = self._carried(children)
         # A child is in the ball of the piece that it is of, too.
         narrower = cover.radii < self.cover.radii[pieces][parents]
@@ -369,7 +379,12 @@ class _Trial:
             self.blocked = "the balls that enclose the moved surface grew beyond all numbers"
         elif self.midpoints is not None and not self.midpoints.found.all():
             self.blocked = (
-                f"no midpoint is proved for {int(np.sum(~self.midpoints.found))} of {len(kept)} pieces of the surface"
+                f"no midpoint is proved for {int(np.sum(~self.midpoints.found))} of {len(kept)} pieces of the surface: "
+                + (
+                    "the step is too steep there"
+                    if self.midpoints.hopeless.any()
+                    else f"they were cut {MAX_SPLITS} times, or as often as the budget of pieces allows"
+                )
             )
         elif held.radii.max() > WIDEST_BALL * float(np.ptp(held.points, axis=0).max() + 1.0):
             self.blocked = "the balls that enclose the moved surface grew too wide"

@@ -1,4 +1,4 @@
-"""A command that is killed leaves nothing in the way of its restart; a small part of ``python tests/kill_campaign.py``."""
+"""A killed command leaves nothing in the way of its restart; a small part of ``python tests/kill_campaign.py``."""
 
 from __future__ import annotations
 

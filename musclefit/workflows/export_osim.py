@@ -97,7 +97,7 @@ def export_osim(
     """Carry an OpenSim model by a rig's deformation; what does not move in its file stays byte for byte.
 
     In the default pose every path point, marker, mass centre and mesh vertex is where the map takes it. Frames of
-    bodies and joints go where the map takes their origins and keep their orientation; wrap objects are fitted anew; fibre and
+    bodies and joints go where the map takes their origins and keep their orientation; wraps are fitted anew; fibre and
     tendon slack lengths keep their ratio to the muscle's straight path.
 
     Parameters

@@ -13,6 +13,7 @@ from scipy.optimize import minimize
 from musclefit.certify.maps import certify_map
 from musclefit.certify.model import MapCertificate
 from musclefit.fields.protocol import Field
+from musclefit.fields.summed import BoundedField
 from musclefit.flow.steps import CayleyStep, ExplicitStep, Step
 from musclefit.vocabulary import Claim, StepKind
 
@@ -57,7 +58,7 @@ def descended(
 
 
 def attack_boxes(
-    field: Field,
+    field: BoundedField,
     centres: np.ndarray,
     halves: np.ndarray,
     rng: np.random.Generator,

@@ -281,22 +281,11 @@ def _record(record: type[Record], section: Section, *, besides: tuple[str, ...] 
 
 def _value(section: Section, key: str, hint: Any) -> Any:
     dotted = section.dotted(key)
-    if dotted == "drive.pose":
-        return _pose(section.section(key))
-    if hint == tuple[PoseKey, ...]:
-        return tuple(_pose_key(key) for key in section.sections(key))
-    if hint == tuple[PlaceKey, ...]:
-        return tuple(_place_key(section, key) for key in section.sections(key))
-    if dotted == "anatomy.kinds":
-        kinds = section.section(key)
-        return tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table)
-    if dotted == "drive.carried":
-        carried = section.section(key)
-        return tuple((carrier, _listed(carried, carrier)) for carrier in carried.table)
-    if dotted in ("tets.edge_length_mm", "tets.envelope_mm"):
-        lengths = section.section(key)
-        return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
+    if dotted in _TABLES:
+        return _TABLES[dotted](section.section(key))
     readers: dict[Any, Callable[[str], Any]] = {
+        tuple[PoseKey, ...]: lambda name: tuple(_pose_key(entry) for entry in section.sections(name)),
+        tuple[PlaceKey, ...]: lambda name: tuple(_place_key(section, entry) for entry in section.sections(name)),
         str: section.text,
         bool: section.flag,
         int: section.whole,
@@ -381,3 +370,17 @@ def _override_value(text: str, *, where: str) -> Any:
     if set(read) != {"value"}:
         raise RigError(f"{where}: the value holds more than one line; set one key at a time")
     return read["value"]
+
+
+def _lengths(lengths: Section) -> tuple[tuple[str, float], ...]:
+    return tuple((pattern, lengths.number(pattern)) for pattern in lengths.table)
+
+
+_TABLES: dict[str, Callable[[Section], Any]] = {
+    "drive.pose": _pose,
+    "anatomy.kinds": lambda kinds: tuple((pattern, kinds.choice(pattern, TissueKind)) for pattern in kinds.table),
+    "drive.carried": lambda carried: tuple((carrier, _listed(carried, carrier)) for carrier in carried.table),
+    "tets.edge_length_mm": _lengths,
+    "tets.envelope_mm": _lengths,
+}
+"""Keys whose values are tables with names of the user's own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -64,13 +64,13 @@ def configuration(seed: int) -> Configuration:
     margin = MARGINS[int(rng.integers(len(MARGINS)))]
     corner = rng.uniform(-200.0, 200.0, n)
     points = np.stack([corner, corner + rng.uniform(50.0, 110.0, n)])
-    moved = grid(*points, 30 if n == 2 else 9)
-    beside = rng.uniform(*points, (10, n))
+    moved = grid(points[0], points[1], 30 if n == 2 else 9)
+    beside = rng.uniform(points[0], points[1], (10, n))
     steps = []
     for _ in range(int(rng.integers(0, 3))):
         kind, low, high = (E, C)[int(rng.integers(2))], moved.min(axis=0), moved.max(axis=0)
         if rng.random() < 0.3:
-            field = RadialBackend("r3").fit(rng.uniform(low, high, (8, n)), rng.normal(size=(8, n)))
+            field: Any = RadialBackend("r3").fit(rng.uniform(low, high, (8, n)), rng.normal(size=(8, n)))
         else:
             field = random_field(rng, low, high)
         field = scaled_to(kind, field, float(rng.uniform(0.4, 0.8)), moved, rng, beside)
@@ -93,7 +93,7 @@ def isochoric_configuration(seed: int) -> Configuration:
     last, margin = (E, C)[(seed + seed // 10) % 2], MARGINS[3 * seed % len(MARGINS)]
     corner = rng.uniform(-200.0, 200.0, 3)
     points = np.stack([corner, corner + rng.uniform(40.0, 80.0, 3)])
-    moved, beside, steps = grid(*points, 9), rng.uniform(*points, (10, 3)), []
+    moved, beside, steps = grid(points[0], points[1], 9), rng.uniform(points[0], points[1], (10, 3)), []
     if rng.random() < 0.4:
         kind, low, high = (E, C)[int(rng.integers(2))], moved.min(axis=0), moved.max(axis=0)
         field = scaled_to(kind, isochoric_field(rng, low, high), float(rng.uniform(0.4, 0.8)), moved, rng, beside)

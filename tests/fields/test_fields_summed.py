@@ -8,7 +8,7 @@ from attacks import attack_boxes
 from oracles import difference_jacobian
 
 from musclefit.fields.fitting.lattices import LatticeBackend
-from musclefit.fields.radial import RadialBackend
+from musclefit.fields.radial import RadialBackend, RadialField
 from musclefit.fields.summed import SummedField
 
 
@@ -34,6 +34,7 @@ def test_it_is_the_sum(field: SummedField) -> None:
 @pytest.mark.parametrize("half", [0.1, 1.0, 6.0, 40.0])
 def test_bounds_hold_at_every_place_tried(field: SummedField, half: float) -> None:
     rng = np.random.default_rng(int(10 * half))
+    assert isinstance(field.first, RadialField)
     centres = np.concatenate([rng.uniform(-40.0, 40.0, (150, 3)), field.first.centres[:10]])
     halves = half * rng.uniform(0.2, 1.0, centres.shape)
     attack_boxes(field, centres, halves, rng, enough=(-0.05, 0.05), tries=60)

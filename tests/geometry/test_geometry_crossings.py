@@ -79,7 +79,8 @@ def _edge_pierces(a, b, corners):
             u[0] * (v[1] * w[2] - v[2] * w[1]) - u[1] * (v[0] * w[2] - v[2] * w[0]) + u[2] * (v[0] * w[1] - v[1] * w[0])
         )
 
-    if side(*corners, a) * side(*corners, b) >= 0:
+    first, second, third = corners
+    if side(first, second, third, a) * side(first, second, third, b) >= 0:
         return False
     turns = [side(a, b, corners[i], corners[(i + 1) % 3]) for i in range(3)]
     return all(t > 0 for t in turns) or all(t < 0 for t in turns)

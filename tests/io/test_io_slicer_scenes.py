@@ -33,7 +33,7 @@ def test_a_scene_names_every_tissue_once_with_its_file_colour_and_frame(folder):
     by_id = {node.get("id"): node for node in scene}
     assert len(by_id) == len(scene) == 3 * len(TISSUES)
     models = scene.findall("Model")
-    assert sorted(node.get("name") for node in models) == sorted(TISSUES)
+    assert sorted(node.get("name", "") for node in models) == sorted(TISSUES)
     for model in models:
         display, storage = (by_id[part.split(":")[1]] for part in model.get("references").rstrip(";").split(";"))
         assert storage.get("coordinateSystem") == ("RAS" if "RAS" in frame else "LPS")

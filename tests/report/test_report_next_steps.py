@@ -35,7 +35,7 @@ def step_of(name, side, limits=None):
 
 def test_a_check_cannot_be_made_without_a_next_step():
     with pytest.raises(TypeError, match="next_step"):
-        Check("new check", 0.0, 0.0, "")
+        Check("new check", 0.0, 0.0, "")  # type: ignore[call-arg]
     with pytest.raises(ValueError, match="'new check' does not say what to do"):
         Check("new check", 0.0, 0.0, "", next_step=" ")
 

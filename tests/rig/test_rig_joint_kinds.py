@@ -63,8 +63,9 @@ def test_a_screw_moves_along_its_axis_by_its_pitch(degrees: float) -> None:
 
 
 def test_pitch_is_in_the_units_of_the_file() -> None:
-    table = {"units": "cm", "twist": joint(kind="screw", axis=[0, 0, 1], pitch_cm_per_turn=1.8)}
-    table["twist"]["centre_cm"] = table["twist"].pop("centre_mm")
+    twist = joint(kind="screw", axis=[0, 0, 1], pitch_cm_per_turn=1.8)
+    twist["centre_cm"] = twist.pop("centre_mm")
+    table = {"units": "cm", "twist": twist}
     motion = parse_joints(table, source="j.toml").motions({"twist": 360.0})["femur"]
     np.testing.assert_allclose(motion.translation, [0, 0, 18.0], rtol=0, atol=1e-9)
 

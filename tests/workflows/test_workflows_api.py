@@ -102,7 +102,7 @@ def test_a_rig_may_be_a_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         "deformer": {"method": "yu2014"},
     }
     job = mf.read_rig(given, overrides=["drive.pose.elbow_deg=25"])
-    assert dict(job.rig.drive.pose) == {"elbow": 25.0}  # type: ignore[union-attr]
+    assert dict(job.rig.drive.pose) == {"elbow": 25.0}  # type: ignore[attr-defined]
     assert set(job.hashes) == {"rig", str(joints)}
     with pytest.raises(mf.RigError, match=r"^rig: drive.pose: pose of 'knee': no such joint"):
         mf.read_rig({**given, "drive": {"kind": "joints", "joints": joints, "pose": {"knee_deg": 20}}})

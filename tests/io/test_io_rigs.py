@@ -448,7 +448,7 @@ BAD: dict[str, tuple[str, Any, type[InputError], str]] = {
         "joint",
         _edit("joint.toml", "per_bone = 4", "per_bone = 9"),
         LandmarkError,
-        r"joint.toml: drive: bone 'bone_a': 9 landmarks do not fit on a surface with 8 distinct vertices; ask",
+        r"joint.toml: drive: bone 'bone_a': 9 landmarks do not fit on a surface with 8 vertices; ask",
     ),
     "cages of other counts": (
         "cage",

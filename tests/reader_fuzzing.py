@@ -194,7 +194,8 @@ def _points(path: Path) -> object:
     from musclefit.vocabulary import Unit
 
     read = read_points(path, units=Unit.METRE)
-    return read.rewrite(read.points + 1.0, path.with_name(f"moved-{path.name}"))
+    read.rewrite(read.points + 1.0, path.with_name(f"moved-{path.name}"))
+    return read
 
 
 def _landmarks(path: Path) -> object:

@@ -51,8 +51,8 @@ def test_the_rig_follows_the_motion_as_opensim_does(tmp_path: Path) -> None:
         motions = posed_job(job, pose).motions
         assert motions is not None
         turn = after["foot"][0] @ before["foot"][0].T
-        np.testing.assert_allclose(motions.final["foot__foot"].rotation, turn, atol=1e-12)
-        moved = motions.final["foot__foot"](before["foot"][1][None])[0]
+        np.testing.assert_allclose(motions.at(1.0)["foot__foot"].rotation, turn, atol=1e-12)
+        moved = motions.at(1.0)["foot__foot"](before["foot"][1][None])[0]
         np.testing.assert_allclose(moved, after["foot"][1], atol=1e-9)
 
 

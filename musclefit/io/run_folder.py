@@ -30,6 +30,7 @@ from musclefit.io.formats.mrml import SceneModel, scene_text
 from musclefit.report.html import render_html, render_inspection
 from musclefit.report.junit import junit_xml
 from musclefit.report.model import MeshReport, Report
+from musclefit.report.scene import Scene
 from musclefit.report.schema import Json, to_json
 
 if TYPE_CHECKING:
@@ -146,6 +147,7 @@ def write_run(
     tets: DeformedTets | None,
     pictures: Mapping[str, bytes],
     pictures_problem: str = "",
+    scene: Scene | None = None,
     points: Mapping[str, Callable[[Path], None]] = _NO_POINTS,
     states: Iterable[State] = (),
 ) -> tuple[Path, ...]:
@@ -164,6 +166,8 @@ def write_run(
     pictures : mapping of caption to PNG bytes
     pictures_problem : str
         Why there are no pictures.
+    scene : Scene or None
+        What the page shows in 3-D.
     points : mapping of file name to callable
         Further files, each written to the path that it is given.
     states : iterable of State
@@ -204,7 +208,7 @@ def write_run(
         for name, write in points.items():
             write(build / POINTS / name)
         _write_states(build / INTERMEDIATE, states, names=names)
-        page = render_html(report, pictures=pictures, pictures_problem=pictures_problem)
+        page = render_html(report, pictures=pictures, pictures_problem=pictures_problem, scene=scene)
         (build / REPORT_HTML).write_text(page, encoding="utf-8", errors="backslashreplace")
 
     return _write_folder(folder, fill, {**to_json(report), "surfaces": surfaces}, by=Maker.RUN)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 import jinja2
@@ -18,6 +21,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, bone_limit, checks_against
+from musclefit.report.scene import Scene, packed, quantum_mm
 from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
 from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
 
@@ -28,7 +32,9 @@ _SPACE = "\N{NO-BREAK SPACE}"
 _MISSING = "not measured"
 
 
-def render_html(report: Report, *, pictures: Mapping[str, bytes], pictures_problem: str = "") -> str:
+def render_html(
+    report: Report, *, pictures: Mapping[str, bytes], pictures_problem: str = "", scene: Scene | None = None
+) -> str:
     """One page that needs no other file and no network.
 
     Parameters
@@ -38,6 +44,8 @@ def render_html(report: Report, *, pictures: Mapping[str, bytes], pictures_probl
         Shown in order; may be empty.
     pictures_problem : str
         Why there are no pictures, shown in their place.
+    scene : Scene or None
+        What the page shows in 3-D; None leaves that out.
 
     Returns
     -------
@@ -49,7 +57,8 @@ def render_html(report: Report, *, pictures: Mapping[str, bytes], pictures_probl
     InputError
         A picture is not a PNG; names its caption.
     """
-    return _render("report.html.jinja", _page(report, pictures, pictures_problem))
+    page = _page(report, pictures, pictures_problem)
+    return _render("report.html.jinja", {**page, "scene": scene_parts(scene)})
 
 
 def render_inspection(report: MeshReport) -> str:
@@ -111,9 +120,68 @@ def render_page(template: str, page: dict[str, Any]) -> str:
     return _render(template, page)
 
 
+def scene_parts(scene: Scene | None) -> SceneParts | None:
+    """What the templates put into a page for a view in 3-D; None where there is nothing to show."""
+    if scene is None:
+        return None
+    text, data = packed(scene)
+    marks = tuple(
+        PlaceRow(f"{s} {m}", mark.kind, mark.tissues, scene.shapes[s].title, mark.title) for s, m, mark in scene.marks
+    )
+    frames = any(shape.time_s is not None for shape in scene.shapes)
+    return SceneParts(
+        json=Markup(text),
+        data=Markup(data),
+        three=_script("three.min.js"),
+        script=_script("viewer.js"),
+        marks=marks,
+        left_out=scene.left_out,
+        quantum_mm=quantum_mm(scene),
+        frames=frames,
+    )
+
+
 def sentence(check: Check) -> tuple[str, str]:
     """One failed check in words, and what to do about it."""
     return _sentence(check), check.next_step
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceRow:
+    """A place to look at: the numbers of its shape and its mark, and what it is."""
+
+    key: str
+    kind: str
+    tissues: tuple[str, ...]
+    state: str
+    title: str
+
+
+@dataclass(frozen=True, slots=True)
+class SceneParts:
+    """A packed scene, the scripts that show it, and its places to look at."""
+
+    json: Markup
+    data: Markup
+    three: Markup
+    script: Markup
+    marks: tuple[PlaceRow, ...]
+    left_out: tuple[str, ...]
+    quantum_mm: float
+    frames: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _StoryNumber:
+    """One of the three numbers at the head of a page, with those of the methods compared with."""
+
+    name: str
+    value: float
+    unit: str
+    limit: float
+    limited: bool
+    passed: bool
+    others: tuple[tuple[str, float | None], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +217,34 @@ def _render(template: str, page: dict[str, Any]) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "amount": amount, "seconds": seconds, "breakable": breakable}
-    return environment.get_template(template).render(page)
+    return with_contents(environment.get_template(template).render({"tables_script": _script("tables.js"), **page}))
+
+
+def with_contents(page: str) -> str:
+    """A page whose sections can be linked to, with a list of them where the template leaves a place.
+
+    Headings are the templates' own: a name in them would be escaped, and none stands there.
+    """
+    seen: list[tuple[str, str]] = []
+
+    def named(found: re.Match[str]) -> str:
+        slug = f"section-{len(seen) + 1}"
+        seen.append((slug, found[1]))
+        return f'<span id="{slug}"></span>{found[0]}'
+
+    page = re.sub(r"<h2>([^<]*)</h2>", named, page)
+    links = "".join(f'<a href="#{slug}">{title}</a>' for slug, title in seen)
+    contents = f'<nav class="contents" id="contents" aria-label="Contents"><strong>Contents</strong>{links}</nav>'
+    return page.replace("<!--contents-->", contents, 1)
+
+
+@cache
+def _script(name: str) -> Markup:
+    """A script of the folder ``viewer``; it holds nothing that would close its element."""
+    text = files("musclefit.report").joinpath("viewer", name).read_text(encoding="utf-8")
+    if "</script" in text.lower() or "<!--" in text:
+        raise ValueError(f"the script {name} would close its own element; build it again without markup")
+    return Markup(text)
 
 
 def _shared(report: Report | MeshReport, *, remark: str) -> dict[str, Any]:
@@ -176,7 +271,11 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         "paper_loop": report.paper_loop,
         "groups": _grouped(compare(report)),
         "absent": absent(report.result),
-        "pictures": {caption: _data_uri(caption, png) for caption, png in pictures.items()},
+        "pictures": {
+            caption: "" if k == 0 else _data_uri(caption, png) for k, (caption, png) in enumerate(pictures.items())
+        },
+        "first_picture": {caption: _data_uri(caption, png) for caption, png in list(pictures.items())[:1]},
+        "story": _story(report),
         "pictures_problem": pictures_problem,
         "tissues": _tissue_rows(report),
         "pairs": _pair_rows(report),
@@ -189,6 +288,35 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         "skin": any(t.outside_skin_mm3 is not None for t in report.result.tissues),
         "bones": any(t.rigidity_mm is not None for t in report.result.tissues),
     }
+
+
+_TOLD_FIRST = ("introduced overlap", "bone off rigid", "muscle volume change", "landmark error", "folded points")
+"""Checks from which the three numbers at the head of a page are taken, those that fail before the others."""
+
+
+def _story(report: Report) -> list[_StoryNumber]:
+    """The three numbers that tell most: what fails, then overlap, bones and muscles; with the other methods'."""
+    sides = (("paper's loop", report.paper_loop), ("one shot", report.baseline))
+    others = {
+        name: {check.name: check.value for check in checks_against(report.limits, side)}
+        for name, side in sides
+        if side is not None
+    }
+    known = [check for check in report.checks if check.unit]
+    rank = {name: k for k, name in enumerate(_TOLD_FIRST)}
+    first = sorted(known, key=lambda check: (check.passed, rank.get(check.name, len(rank))))[:3]
+    return [
+        _StoryNumber(
+            check.name,
+            check.value,
+            check.unit,
+            check.limit,
+            check.limited,
+            check.passed,
+            tuple((name, values[check.name]) for name, values in others.items() if check.name in values),
+        )
+        for check in first
+    ]
 
 
 def _tet_rows(report: Report) -> list[tuple[str, int, int, int, float]]:

@@ -10,7 +10,8 @@ from typing import Any
 from markupsafe import Markup
 
 from musclefit.report.curves import curves
-from musclefit.report.html import render_page, sentence
+from musclefit.report.html import render_page, scene_parts, sentence
+from musclefit.report.scene import Scene
 from musclefit.report.sequence import MADE, SEQUENCE_SCHEMA_VERSION, FrameSummary, SequenceReport
 from musclefit.validate.close_meetings import MeetingKind
 from musclefit.validate.muscles import MuscleMeasures
@@ -33,7 +34,13 @@ _CURVES = (
 )
 
 
-def render_sequence(report: SequenceReport, *, pictures: Mapping[str, tuple[str, bytes]], problems: str = "") -> str:
+def render_sequence(
+    report: SequenceReport,
+    *,
+    pictures: Mapping[str, tuple[str, bytes]],
+    problems: str = "",
+    scene: Scene | None = None,
+) -> str:
     """One page that needs no other file and no network.
 
     Parameters
@@ -43,6 +50,8 @@ def render_sequence(report: SequenceReport, *, pictures: Mapping[str, tuple[str,
         Shown in order.
     problems : str
         Why there are fewer pictures than there might be.
+    scene : Scene or None
+        The motion in 3-D; None leaves it out.
     """
     failed = [check for check in report.checks if not check.passed]
     page: dict[str, Any] = {
@@ -65,6 +74,7 @@ def render_sequence(report: SequenceReport, *, pictures: Mapping[str, tuple[str,
             for caption, (kind, data) in pictures.items()
         },
         "problems": problems,
+        "scene": scene_parts(scene),
     }
     return render_page("sequence.html.jinja", page)
 

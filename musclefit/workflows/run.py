@@ -16,6 +16,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.caches import default_cache_folder
 from musclefit.figures.panels import Marks
+from musclefit.figures.scenes import run_scene
 from musclefit.figures.stills import Stills, stills
 from musclefit.flow.bones import moving_together, poses_on_the_way
 from musclefit.flow.deformation import Deformation
@@ -273,6 +274,7 @@ def save(
         tets=None if tets is None or vertices is None else DeformedTets(tets, vertices),
         pictures=drawn.pictures,
         pictures_problem=drawn.problem,
+        scene=run_scene(result),
         points={file.name: partial(_moved_points, file, result) for file in result.job.further},
         states=states(result) if intermediate else (),
     )

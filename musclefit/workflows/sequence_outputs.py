@@ -10,6 +10,7 @@ from musclefit.anatomy.model import Anatomy
 from musclefit.figures.colours import tissue_colours
 from musclefit.figures.films import contact_sheet, gif, motion_pictures, mp4, mp4_problem
 from musclefit.figures.rendering import rendering_problem
+from musclefit.figures.scenes import motion_scene
 from musclefit.io.atomic import write_atomically, write_bytes_atomically
 from musclefit.io.formats.glb import animated_glb
 from musclefit.progress import Progress, Silent
@@ -68,7 +69,12 @@ def write_outputs(
             sheet = [drawn[k] for k in _even(len(drawn), SHEET_FRAMES)]
             columns = min(len(sheet), 6)
             embedded["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
-    page = render_sequence(report, pictures=embedded, problems=problems)
+    scene = (
+        motion_scene(plan.job.anatomy, [(_title(f).replace("\n", ", "), f.time_s, a) for f, a in kept])
+        if kept
+        else None
+    )
+    page = render_sequence(report, pictures=embedded, problems=problems, scene=scene)
     write_atomically(folder / PAGE, page)
     return (folder / PAGE, *written)
 

@@ -1,0 +1,188 @@
+"""What a page shows of a run or a motion in 3-D: its states, coloured values and places to look at; draws nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from musclefit.anatomy.model import Anatomy, TissueKind
+from musclefit.figures.camera import principal_views
+from musclefit.figures.colours import Colour, tissue_colours
+from musclefit.geometry.arrays import Float
+from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.queries.solids import ROUNDING_MM3, overlap_mesh
+from musclefit.pipeline.retarget import Outcome, Retargeting
+from musclefit.report.scene import Scene, SceneField, SceneMark, SceneShape, SceneTissue
+
+DRAWN_OF_A_KIND = 60
+"""Places of one kind that are drawn of one state: the largest; the page says how many are not."""
+
+GAP_SHARE = 1.0 / 50.0
+"""Gaps are coloured up to this share of the body's largest extent."""
+
+_TET_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+def run_scene(made: Retargeting) -> Scene:
+    """Rest, result, the paper's loop and one shot of a run, with what is wrong in each.
+
+    Parameters
+    ----------
+    made : Retargeting
+
+    Returns
+    -------
+    Scene
+    """
+    result = made.result
+    left_out: list[str] = []
+    compared = (("Result", result), ("Paper's loop", made.paper_loop), ("One shot", made.baseline))
+    shapes = [SceneShape("Rest", _surfaces(result.rest), (_gaps(result.rest),), _contact(result))]
+    for title, outcome in compared:
+        if outcome is None:
+            continue
+        marks, missing = _marks(outcome)
+        left_out += [f"{title}: {words}" for words in missing]
+        values = (SceneField("det J", "", 0.0, 2.0, outcome.determinants), _gaps(outcome.deformed))
+        shapes.append(SceneShape(title, _surfaces(outcome.deformed), values, marks))
+    return _scene(result.rest, shapes, left_out)
+
+
+def motion_scene(rest: Anatomy, frames: Sequence[tuple[str, float, Anatomy]]) -> Scene:
+    """A motion, frame by frame, from the anatomy at rest.
+
+    Parameters
+    ----------
+    rest : Anatomy
+    frames : sequence of title, time in s, and anatomy
+        In order of time, on the triangles of ``rest``.
+    """
+    shapes = [SceneShape("Rest", _surfaces(rest))]
+    shapes += [SceneShape(title, _surfaces(anatomy), time_s=time_s) for title, time_s, anatomy in frames]
+    return _scene(rest, shapes, [])
+
+
+def hex_colour(colour: Colour) -> str:
+    """A colour as pages write it."""
+    return "#" + "".join(f"{round(255 * part):02x}" for part in colour)
+
+
+def _scene(rest: Anatomy, shapes: list[SceneShape], left_out: list[str]) -> Scene:
+    colours = tissue_colours(rest)
+    tissues = tuple(SceneTissue(t.name, t.kind.value, hex_colour(colours[t.name])) for t in rest)
+    view = principal_views(rest.vertices())[0]
+    return Scene(tissues, tuple(shapes), view.up, view.towards, tuple(left_out))
+
+
+def _surfaces(anatomy: Anatomy) -> tuple:  # type: ignore[type-arg]
+    return tuple(tissue.surface for tissue in anatomy)
+
+
+def _gaps(anatomy: Anatomy) -> SceneField:
+    """Distance of every vertex to the nearest vertex of another tissue, the skin left out; NaN where none is near."""
+    points = anatomy.vertices()
+    far = GAP_SHARE * float(np.ptp(points, axis=0).max()) or 1.0
+    found = np.full(len(points), np.nan)
+    inside = [
+        (t, where) for t, where in zip(anatomy, anatomy.slices().values(), strict=True) if t.kind != TissueKind.SKIN
+    ]
+    trees = [cKDTree(t.surface.vertices) for t, _ in inside]
+    for number, (tissue, where) in enumerate(inside):
+        own = tissue.surface.vertices
+        nearest = np.full(len(own), np.inf)
+        for other, tree in enumerate(trees):
+            if other == number or not tree.n:
+                continue
+            near = np.flatnonzero(((own >= tree.mins - far) & (own <= tree.maxes + far)).all(axis=1))
+            if len(near):
+                nearest[near] = np.minimum(nearest[near], tree.query(own[near], distance_upper_bound=far)[0])
+        found[where] = np.where(np.isfinite(nearest), nearest, np.nan)
+    return SceneField("gap", "mm", 0.0, far, found)
+
+
+def _contact(outcome: Outcome) -> tuple[SceneMark, ...]:
+    """Vertices of bones, at rest, nearer to a vertex of another bone than the contact zone of the report is wide."""
+    if outcome.side.bones is None or not outcome.side.bones.contact_zone_mm > 0:
+        return ()
+    zone = outcome.side.bones.contact_zone_mm
+    bones = outcome.rest.of_kind(TissueKind.BONE)
+    marks = []
+    for number, one in enumerate(bones):
+        for other in bones[number + 1 :]:
+            a, b = one.surface.vertices, other.surface.vertices
+            near_a = a[np.isfinite(cKDTree(b).query(a, distance_upper_bound=zone)[0])]
+            if not len(near_a):
+                continue
+            near_b = b[np.isfinite(cKDTree(a).query(b, distance_upper_bound=zone)[0])]
+            title = f"bones within the contact zone of {zone:.3g} mm"
+            marks.append(SceneMark("contact zone", title, (one.name, other.name), np.concatenate([near_a, near_b])))
+    return tuple(marks)
+
+
+def _marks(outcome: Outcome) -> tuple[tuple[SceneMark, ...], list[str]]:
+    """What is wrong in a state, the worst of each kind, and how many places of each kind are not drawn."""
+    drawn: list[SceneMark] = []
+    missing: list[str] = []
+    for kind, found in (
+        ("fold", _folds(outcome)),
+        ("inverted tet", _inverted(outcome)),
+        ("overlap", _overlaps(outcome)),
+    ):
+        marks = list(found)
+        drawn += marks[:DRAWN_OF_A_KIND]
+        if len(marks) > DRAWN_OF_A_KIND:
+            missing.append(f"{len(marks) - DRAWN_OF_A_KIND} smaller ones of kind {kind} are not drawn")
+    return tuple(drawn), missing
+
+
+def _folds(outcome: Outcome) -> Iterator[SceneMark]:
+    """Folded vertices of each tissue, most first."""
+    folded = {
+        tissue: np.flatnonzero(~(outcome.determinants[where] > 0))
+        for tissue, where in zip(outcome.deformed, outcome.deformed.slices().values(), strict=True)
+    }
+    for tissue, rows in sorted(folded.items(), key=lambda item: (-len(item[1]), item[0].name)):
+        if len(rows):
+            title = f"{len(rows)} vertices where det J is not above 0"
+            yield SceneMark("fold", title, (tissue.name,), tissue.surface.vertices[rows])
+
+
+def _inverted(outcome: Outcome) -> Iterator[SceneMark]:
+    """Inverted tetrahedra of each tissue, most first."""
+    if outcome.tets is None or outcome.tet_vertices is None:
+        return
+    corners = outcome.tets.mesh.tets
+    bad = np.flatnonzero(~(signed_volumes(outcome.tet_vertices, corners) > 0))
+    owners = outcome.tets.tissue_of_tet[bad]
+    counts = {int(owner): int((owners == owner).sum()) for owner in np.unique(owners)}
+    for owner, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        own = corners[bad[owners == owner]]
+        vertices = outcome.tet_vertices[own].reshape(-1, 3)
+        faces = (_TET_FACES[None] + 4 * np.arange(len(own))[:, None, None]).reshape(-1, 3)
+        yield SceneMark("inverted tet", f"{count} inverted tetrahedra", (outcome.tets.names[owner],), vertices, faces)
+
+
+def _overlaps(outcome: Outcome) -> Iterator[SceneMark]:
+    """What pairs share, the largest introduced first."""
+    solids = outcome.solid.solids
+
+    def rank(volume: float) -> float:
+        return -math.inf if math.isnan(volume) else -volume
+
+    pairs = sorted(outcome.side.overlaps.pairs, key=lambda p: (rank(p.introduced_mm3), rank(p.deformed_mm3)))
+    for number, pair in enumerate(p for p in pairs if p.deformed_mm3 > ROUNDING_MM3):
+        if pair.a not in solids or pair.b not in solids:
+            continue
+        title = f"{pair.deformed_mm3:.4g} mm³ shared, {pair.introduced_mm3:.4g} mm³ of it introduced"
+        if number >= DRAWN_OF_A_KIND:
+            yield SceneMark("overlap", title, (pair.a, pair.b), _NO_PLACE)
+            continue
+        shared = overlap_mesh(solids[pair.a], solids[pair.b])
+        if len(shared.faces):
+            yield SceneMark("overlap", title, (pair.a, pair.b), shared.vertices, shared.faces)
+
+
+_NO_PLACE: Float = np.zeros((0, 3))

@@ -1,0 +1,284 @@
+"""Surfaces that a page shows in 3-D: records, and how they are packed small; draws and measures nothing.
+
+Positions are whole multiples of one quantum, 1/65535 of the largest extent of all shapes. They are stored as differences
+from what is already known (the same vertices in the first shape or the frames before, then the vertex before), as byte
+planes, and compressed by gzip, which browsers unpack themselves.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from musclefit.geometry.arrays import Float, Int, Points
+from musclefit.geometry.meshes import TriMesh
+
+FIELD_STEPS = 254
+"""Steps of a coloured value over its range; 255 stands for what is not a number."""
+
+_STEPS = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTissue:
+    """A layer: its name, kind and colour (``#rrggbb``)."""
+
+    name: str
+    kind: str
+    colour: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneField:
+    """A value at every vertex of a shape, drawn in colours from ``low`` to ``high``; what lies beyond has the end's."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    values: Float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneMark:
+    """A place to point out: triangles, or dots where it has none.
+
+    Parameters
+    ----------
+    kind : str
+        "overlap", "fold", "inverted tet" or "contact zone".
+    title : str
+        What it is, in words.
+    tissues : tuple of str
+        Whom it concerns.
+    vertices : (n, 3) float64, mm
+    faces : (m, 3) int
+    """
+
+    kind: str
+    title: str
+    tissues: tuple[str, ...]
+    vertices: Points
+    faces: Int = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneShape:
+    """All tissues in one state: a surface each, values and marks; ``time_s`` where it is a frame of a motion."""
+
+    title: str
+    surfaces: tuple[TriMesh, ...]
+    fields: tuple[SceneField, ...] = ()
+    marks: tuple[SceneMark, ...] = ()
+    time_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scene:
+    """What a page shows in 3-D.
+
+    Parameters
+    ----------
+    tissues : tuple of SceneTissue
+    shapes : tuple of SceneShape
+        The first is at rest: displacements are against it.
+    up, towards : (3,) float64
+        Unit vectors of the first view: upright, and from the body to the eye.
+    left_out : tuple of str
+        What was found and is not drawn, in words.
+    """
+
+    tissues: tuple[SceneTissue, ...]
+    shapes: tuple[SceneShape, ...]
+    up: Float
+    towards: Float
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def marks(self) -> list[tuple[int, int, SceneMark]]:
+        """Every mark with the number of its shape and its number there."""
+        return [(s, m, mark) for s, shape in enumerate(self.shapes) for m, mark in enumerate(shape.marks)]
+
+    @property
+    def vertices(self) -> int:
+        """Of the shape at rest."""
+        return sum(len(surface.vertices) for surface in self.shapes[0].surfaces)
+
+
+def packed(scene: Scene) -> tuple[str, str]:
+    """A scene as two texts that may stand in a page's script elements: JSON without ``<``, and base64.
+
+    Returns
+    -------
+    tuple of str
+        What the arrays are, and the arrays themselves, compressed.
+    """
+    low = np.stack([shape_box(shape)[0] for shape in scene.shapes]).min(axis=0)
+    quantum = quantum_mm(scene)
+    arrays = _Arrays()
+    said: dict[str, Any] = {
+        "tissues": [{"name": t.name, "kind": t.kind, "colour": t.colour} for t in scene.tissues],
+        "origin": low.tolist(),
+        "quantum": quantum,
+        "up": np.asarray(scene.up).tolist(),
+        "towards": np.asarray(scene.towards).tolist(),
+        "topologies": [],
+        "shapes": [],
+    }
+    known: list[tuple[Int, ...]] = []  # the faces of each topology, by tissue
+    whole: list[np.ndarray[Any, np.dtype[np.uint16]]] = []
+    for shape in scene.shapes:
+        number = _topology(shape, known)
+        if number == len(known):
+            known.append(tuple(surface.faces for surface in shape.surfaces))
+            said["topologies"].append(_packed_topology(shape, arrays))
+        positions = np.rint((_joined(shape) - low) / quantum).astype(np.int64).astype(np.uint16)
+        guess = _guess(scene, positions, whole, said["shapes"], number)
+        whole.append(positions)
+        said["shapes"].append(
+            {
+                "title": shape.title,
+                "topology": number,
+                "time_s": shape.time_s,
+                "guess": guess[0],
+                "positions": arrays.add_words(_signed16(positions - guess[1])),
+                "fields": [_packed_field(values, arrays) for values in shape.fields],
+                "marks": [_packed_mark(mark, arrays) for mark in shape.marks],
+            }
+        )
+    text = json.dumps(said, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return _inert(text), base64.b64encode(gzip.compress(arrays.joined(), 9, mtime=0)).decode("ascii")
+
+
+def quantum_mm(scene: Scene) -> float:
+    """To which multiple of mm positions are rounded."""
+    box = np.stack([shape_box(shape) for shape in scene.shapes])
+    return max(float((box[:, 1].max(axis=0) - box[:, 0].min(axis=0)).max()), 1e-6) / _STEPS
+
+
+def shape_box(shape: SceneShape) -> Float:
+    """Lowest and highest corner (2, 3) of a shape, mm."""
+    points = _joined(shape)
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+class _Arrays:
+    """One run of bytes, and where each array stands in it."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def joined(self) -> bytes:
+        return b"".join(self._parts)
+
+    def add_words(self, values: Int) -> list[int]:
+        """Signed whole numbers, column by column, as differences along the rows in byte planes; where they stand."""
+        columns = np.atleast_2d(np.asarray(values, dtype=np.int64).T)
+        steps = np.diff(columns, axis=1, prepend=0).ravel()
+        folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype(np.uint64)
+        planes = max(1, (int(folded.max(initial=0)).bit_length() + 7) // 8)
+        data = b"".join(
+            ((folded >> np.uint64(8 * k)) & np.uint64(255)).astype(np.uint8).tobytes() for k in range(planes)
+        )
+        return [self._add(data), columns.shape[1], columns.shape[0], planes]
+
+    def add_floats(self, values: Float) -> list[int]:
+        """Single-precision floats as they are: where they stand, and how many."""
+        flat = np.ascontiguousarray(values, dtype="<f4").ravel()
+        return [self._add(flat.tobytes()), len(flat)]
+
+    def _add(self, data: bytes) -> int:
+        at = self._size
+        self._parts.append(data)
+        self._size += len(data)
+        return at
+
+
+def _topology(shape: SceneShape, known: list[tuple[Int, ...]]) -> int:
+    """Which of the known sets of triangles a shape has; one more where none."""
+    for number, faces in enumerate(known):
+        if all(
+            of is mine.faces or (of.shape == mine.faces.shape and np.array_equal(of, mine.faces))
+            for of, mine in zip(faces, shape.surfaces, strict=True)
+        ):
+            return number
+    return len(known)
+
+
+def _packed_topology(shape: SceneShape, arrays: _Arrays) -> dict[str, Any]:
+    """Numbers of vertices and triangles of each tissue, and the triangles by their first corner and steps from it."""
+    faces = np.concatenate([surface.faces for surface in shape.surfaces])
+    steps = np.stack([faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]], axis=1)
+    return {
+        "vertices": [len(surface.vertices) for surface in shape.surfaces],
+        "triangles": [len(surface.faces) for surface in shape.surfaces],
+        "faces": arrays.add_words(steps),
+    }
+
+
+def _guess(
+    scene: Scene,
+    positions: np.ndarray[Any, np.dtype[np.uint16]],
+    whole: list[np.ndarray[Any, np.dtype[np.uint16]]],
+    said: list[dict[str, Any]],
+    number: int,
+) -> tuple[list[Any], np.ndarray[Any, np.dtype[np.uint16]]]:
+    """Where the vertices are likely to be, from the shapes before, and how the page finds the same."""
+    same = [k for k, shape in enumerate(said) if shape["topology"] == number]
+    frames = [k for k in same if said[k]["time_s"] is not None]
+    if len(frames) >= 2 and scene.shapes[len(said)].time_s is not None:
+        return ["line", frames[-2], frames[-1]], whole[frames[-1]] + (whole[frames[-1]] - whole[frames[-2]])
+    if same:
+        return ["shape", same[-1] if frames else same[0]], whole[same[-1] if frames else same[0]]
+    if said and all(len(a.vertices) <= len(b.vertices) for a, b in _beside(scene, len(said))):
+        starts = np.cumsum([0, *(len(b.vertices) for _, b in _beside(scene, len(said)))])
+        rows = np.concatenate(
+            [np.arange(s, s + len(a.vertices)) for (a, _), s in zip(_beside(scene, len(said)), starts, strict=False)]
+        )
+        return ["first of", 0], whole[0][rows]
+    return ["nothing"], np.zeros_like(positions)
+
+
+def _beside(scene: Scene, number: int) -> list[tuple[TriMesh, TriMesh]]:
+    return list(zip(scene.shapes[number].surfaces, scene.shapes[0].surfaces, strict=True))
+
+
+def _packed_field(found: SceneField, arrays: _Arrays) -> dict[str, Any]:
+    share = (np.asarray(found.values, dtype=np.float64) - found.low) / (found.high - found.low)
+    steps = np.where(np.isnan(share), 255, np.rint(np.clip(np.nan_to_num(share), 0, 1) * FIELD_STEPS)).astype(np.int64)
+    return {
+        "name": found.name,
+        "unit": found.unit,
+        "low": found.low,
+        "high": found.high,
+        "values": arrays.add_words(steps[:, None]),
+    }
+
+
+def _packed_mark(mark: SceneMark, arrays: _Arrays) -> dict[str, Any]:
+    return {
+        "kind": mark.kind,
+        "title": mark.title,
+        "tissues": list(mark.tissues),
+        "vertices": arrays.add_floats(mark.vertices),
+        "faces": arrays.add_words(np.asarray(mark.faces).reshape(-1, 3)),
+    }
+
+
+def _joined(shape: SceneShape) -> Float:
+    return np.concatenate([surface.vertices for surface in shape.surfaces])
+
+
+def _signed16(words: np.ndarray[Any, np.dtype[np.uint16]]) -> Int:
+    return words.view(np.int16).astype(np.int64)
+
+
+def _inert(text: str) -> str:
+    """JSON that closes no element and opens no comment, whatever names it holds."""
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,6 +1,6 @@
 """Surfaces that a page shows in 3-D: records, and how they are packed small; draws and measures nothing.
 
-Positions are whole multiples of one quantum, 1/65535 of the largest extent of all shapes. They are stored as differences
+Positions are multiples of one quantum, 1/65535 of the largest extent of all shapes. They are stored as differences
 from what is already known (the same vertices in the first shape or the frames before, then the vertex before), as byte
 planes, and compressed by gzip, which browsers unpack themselves.
 """

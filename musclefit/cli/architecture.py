@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, print_json
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
@@ -48,8 +49,10 @@ def architecture(
         Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
     ] = (),
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
 ) -> int:
     """Find where muscles hold on to bone, how their fibres run and their moment arms; carry them by the rig's map."""
+    from musclefit.report.frames import row_of
     from musclefit.workflows.architecture import architecture as find
 
     folder = out or Path("musclefit-out") / f"{Path(rig).stem}-architecture"
@@ -64,7 +67,10 @@ def architecture(
             deform=not rest,
             progress=stages,
         )
-    if not quiet:
+    if json:
+        rows = {name: [row_of(record) for record in records] for name, records in found.tables().items()}
+        print_json({"title": found.title, "folder": str(folder), "claim": found.claim, **rows})
+    elif not quiet:
         _print(found)
     return PASSED
 

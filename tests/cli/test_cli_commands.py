@@ -276,7 +276,7 @@ def test_check_fails_overlaps_and_names_the_pair(rig: Path, out: Path, capsys: p
     report = read(out)
     assert report["verdict"] == "failed"
     assert {"bone_distal", "muscle_stray"} in [{pair["a"], pair["b"]} for pair in report["overlaps"]]
-    assert files_in(out) == {"report.json", "report.html"}
+    assert files_in(out) == {"report.json", "report.html", "report.junit.xml"}
 
 
 def test_check_of_files_in_metres_with_kinds(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -112,4 +112,4 @@ def test_the_notebook_goes_from_the_limb_to_a_checked_pose(tmp_path: Path) -> No
     assert "elbow -5.0 to 150.0 deg" in done.stdout
     assert "map certified" in done.stdout
     assert "FAIL bone off rigid" in done.stdout  # as the notebook says of the paper's loop
-    assert "'report.html', 'report.json', 'surfaces'" in done.stdout
+    assert "'report.html', 'report.json', 'scene.mrml', 'surfaces'" in done.stdout

@@ -100,4 +100,4 @@ def test_kinds_are_unique() -> None:
 
     with pytest.raises(RigError, match=r"^a drive is of kind 'stretch' already; give this one another"):
         register_drive(Other)
-    assert set(DRIVES) == {"landmarks", "joints", "transforms", "cage", "lattice", "skeleton", "stretch"}
+    assert set(DRIVES) == {"landmarks", "joints", "transforms", "cage", "lattice", "skeleton", "opensim", "stretch"}

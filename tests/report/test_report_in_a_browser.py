@@ -162,9 +162,9 @@ def test_keys_turn_and_a_click_names_a_tissue(browser, written):
         page.focus("#view")
         turned = drawn_after(page, lambda: page.keyboard.press("ArrowLeft"))
         nearer = drawn_after(page, lambda: page.keyboard.press("+"))
-        page.keyboard.press("s")
+        drawn_after(page, lambda: page.keyboard.press("s"))
         assert page.is_checked("#section-on")
-        page.keyboard.press("s")
+        drawn_after(page, lambda: page.keyboard.press("s"))
         home = drawn_after(page, lambda: page.keyboard.press("0"))
         assert len({turned, nearer, home}) == 3
         box = page.locator("#view").bounding_box()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from threading import Event
 from typing import Generic, TypeVar
@@ -11,6 +11,9 @@ from typing import Generic, TypeVar
 from musclefit.progress import Progress, Tick
 
 Done = TypeVar("Done")
+
+LOOKS_EVERY_S = 0.2
+"""While it is waited for."""
 
 
 class GivenUpError(Exception):
@@ -26,12 +29,15 @@ class Beside(Generic[Done]):
         Takes the progress that it tells its stages, and gives what it is wanted for. It is given up at a tick.
     progress : Progress
         Told of the work's stages, from its thread.
+    waiting : Progress
+        Told, from the thread that asks for the result, how long it is waited for.
     """
 
-    def __init__(self, work: Callable[[Progress], Done], *, progress: Progress) -> None:
-        self._stop = Event()
+    def __init__(self, work: Callable[[Progress], Done], *, progress: Progress, waiting: Progress) -> None:
+        self._stop, self._waiting = Event(), waiting
+        self._stopped = _Stopped(progress, self._stop)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="musclefit-beside")
-        self._future: Future[Done] = self._pool.submit(work, _Stopped(progress, self._stop))
+        self._future: Future[Done] = self._pool.submit(work, self._stopped)
 
     def __enter__(self) -> Beside[Done]:
         return self
@@ -42,6 +48,12 @@ class Beside(Generic[Done]):
 
     def __call__(self) -> Done:
         """What the work gives, waited for; whatever it raised is raised."""
+        if not self._future.done():
+            farthest = 0.0  # of a stage that follows another, the fraction begins anew
+            with self._waiting.stage(f"wait: {self._stopped.stage_now}") as tick:
+                while not wait([self._future], timeout=LOOKS_EVERY_S).done:
+                    farthest = max(farthest, self._stopped.fraction)
+                    tick(farthest)
         return self._future.result()
 
     def while_well(self, progress: Progress) -> Progress:
@@ -54,14 +66,17 @@ class _Stopped:
 
     def __init__(self, progress: Progress, stop: Event) -> None:
         self._progress, self._stop = progress, stop
+        self.stage_now, self.fraction = "work beside", 0.0
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Tick]:
+        self.stage_now = name
         with self._progress.stage(name) as tick:
 
             def stopping(fraction: float) -> None:
                 if self._stop.is_set():
                     raise GivenUpError
+                self.fraction = fraction
                 tick(fraction)
 
             stopping(0.0)

@@ -181,7 +181,7 @@ def run(
                         stages.say(finding.message)
                 return tets
 
-            with Beside(fill, progress=stages.in_another_thread()) as tets_beside:
+            with Beside(fill, progress=stages.in_another_thread(), waiting=stages) as tets_beside:
                 made = retarget(job, tets=tets_beside, progress=tets_beside.while_well(stages))
             if out is None:
                 known = measured(stages.seconds, provenance=made.report.provenance)
@@ -262,7 +262,10 @@ def save(
     InputError
         The folder holds something else, or cannot be written.
     """
-    drawn = _drawn(result, progress or Silent()) if pictures else Stills(problem="Pictures were not asked for.")
+    progress = progress or Silent()
+    drawn = _drawn(result, progress) if pictures else Stills(problem="Pictures were not asked for.")
+    with progress.stage("3-D view"):
+        scene = run_scene(result)
     report = result.report
     report = replace(report, **measured(seconds or {}, provenance=report.provenance))
     tets, vertices = result.result.tets, result.result.tet_vertices
@@ -274,7 +277,7 @@ def save(
         tets=None if tets is None or vertices is None else DeformedTets(tets, vertices),
         pictures=drawn.pictures,
         pictures_problem=drawn.problem,
-        scene=run_scene(result),
+        scene=scene,
         points={file.name: partial(_moved_points, file, result) for file in result.job.further},
         states=states(result) if intermediate else (),
     )

@@ -69,11 +69,8 @@ def write_outputs(
             sheet = [drawn[k] for k in _even(len(drawn), SHEET_FRAMES)]
             columns = min(len(sheet), 6)
             embedded["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
-    scene = (
-        motion_scene(plan.job.anatomy, [(_title(f).replace("\n", ", "), f.time_s, a) for f, a in kept])
-        if kept
-        else None
-    )
+    frames = [(_title(summary).replace("\n", ", "), summary.time_s, anatomy) for summary, anatomy in kept]
+    scene = motion_scene(plan.job.anatomy, frames) if kept else None
     page = render_sequence(report, pictures=embedded, problems=problems, scene=scene)
     write_atomically(folder / PAGE, page)
     return (folder / PAGE, *written)

@@ -27,7 +27,7 @@ def test_both_go_on_at_once_and_the_result_is_waited_for() -> None:
         assert started.wait(10.0)
         return current_thread().name
 
-    with Beside(work, progress=Silent()) as beside:
+    with Beside(work, progress=Silent(), waiting=Silent()) as beside:
         started.set()
         assert beside() == beside() != current_thread().name
 
@@ -44,7 +44,7 @@ def test_work_that_nobody_waits_for_is_given_up() -> None:
         finally:
             given_up.set()
 
-    with pytest.raises(KeyboardInterrupt), Beside(work, progress=Silent()):
+    with pytest.raises(KeyboardInterrupt), Beside(work, progress=Silent(), waiting=Silent()):
         raise KeyboardInterrupt
     assert given_up.is_set()
 
@@ -53,7 +53,7 @@ def test_what_the_work_raised_is_raised_at_the_next_stage_and_at_the_end() -> No
     def work(_: Progress) -> None:
         raise MeshError("no mesh")
 
-    with Beside(work, progress=Silent()) as beside:
+    with Beside(work, progress=Silent(), waiting=Silent()) as beside:
         with pytest.raises(MeshError, match="no mesh"):
             beside()
         with pytest.raises(MeshError, match="no mesh"), beside.while_well(Silent()).stage("next"):
@@ -68,6 +68,32 @@ def test_a_mesh_that_fails_ends_a_run_and_writes_nothing(tmp_path: Path, monkeyp
     with pytest.raises(MeshError, match="the tetrahedraliser failed"):
         mf.run("upper_limb", out=tmp_path / "run", overrides=SMALL, pictures=False, progress=Silent())
     assert not (tmp_path / "run").exists()
+
+
+def test_who_waits_is_told_what_for_and_how_far_it_is() -> None:
+    told: list[tuple[str, float]] = []
+
+    class Told:
+        @contextmanager
+        def stage(self, name: str) -> Iterator[Tick]:
+            yield lambda fraction: told.append((name, fraction))
+
+    def work(progress: Progress) -> int:
+        with progress.stage("mesh") as tick:
+            tick(0.25)
+            begun.set()
+            time.sleep(0.7)
+        return 7
+
+    begun = Event()
+    with Beside(work, progress=Silent(), waiting=Told()) as beside:
+        assert begun.wait(10.0)
+        assert beside() == 7
+        known = len(told)
+        assert known > 0
+        assert set(told) == {("wait: mesh", 0.25)}
+        assert beside() == 7
+    assert len(told) == known
 
 
 class InOrder:
@@ -93,7 +119,7 @@ def test_who_is_told_of_stages_is_told_of_one_after_the_other() -> None:
             with progress.stage("beside"):
                 assert within.wait(10.0)
 
-        with Beside(work, progress=stages.in_another_thread()) as beside, stages.stage("other"):
+        with Beside(work, progress=stages.in_another_thread(), waiting=stages) as beside, stages.stage("other"):
             within.set()
             beside()
-    assert set(stages.seconds) == {"beside", "other"}
+    assert {"beside", "other"} <= set(stages.seconds) <= {"beside", "other", "wait: beside"}

@@ -7,6 +7,7 @@ It is coarser than the skin and further from sources inside the body, where a fi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -100,7 +101,7 @@ def point_patches(points: Points) -> Patches:
     return Patches(points, np.zeros_like(points))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Shell:
     """A shell of voxels' faces, and the voxels that are outside of it.
 
@@ -127,13 +128,18 @@ class Shell:
         last = np.floor((high - self.low) / self.edge + GRID_ROUNDING)
         within: Bool = np.asarray(np.concatenate([first >= 0, last < counts], axis=1).all(axis=1), dtype=bool)
         a, b = first[within].astype(int), last[within].astype(int) + 1
-        sums = np.pad(self.outside.astype(np.int64), ((1, 0),) * 3).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2)
         met = np.zeros(len(a), dtype=np.int64)
         for ends in np.ndindex(2, 2, 2):
             corner = np.where(np.array(ends) == 1, b, a)
-            met += (-1) ** (3 - sum(ends)) * sums[tuple(corner.T)]
+            met += (-1) ** (3 - sum(ends)) * self._outside_before[tuple(corner.T)]
         within[within] = met == 0
         return within
+
+    @cached_property
+    def _outside_before(self) -> Int:
+        """(i + 1, j + 1, k + 1) how many voxels outside stand before each along all axes."""
+        sums = np.pad(self.outside.astype(np.int64), ((1, 0),) * 3)
+        return sums.cumsum(axis=0).cumsum(axis=1).cumsum(axis=2)
 
 
 def skin_shell(skin: TriMesh, *, voxels: int) -> Shell:

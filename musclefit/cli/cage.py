@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, print_json
 
 PASSED = 0
 
@@ -25,7 +25,7 @@ def cage(
     units: Annotated[
         Literal["mm", "cm", "m"], Parameter(name="--units", help="Length unit of the skin's file.", show_default=True)
     ] = "mm",
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Make a cage that follows a skin: even triangles, none of which cross. Move its vertices, and it drives a body."""

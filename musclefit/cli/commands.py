@@ -29,6 +29,7 @@ from musclefit.cli.import_osim import import_osim
 from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
+from musclefit.cli.options import QuietOption, print_json
 from musclefit.cli.repair import repair
 from musclefit.cli.rigs import init, rigs, schema
 from musclefit.cli.sequence import sequence
@@ -57,7 +58,6 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 
-Quiet = Annotated[bool, Parameter(name="--quiet", help="Print nothing but errors.")]
 Json = Annotated[bool, Parameter(name="--json", help="Print report.json instead of a summary.")]
 NoPictures = Annotated[bool, Parameter(name="--no-pictures", help="Draw no pictures, which take seconds.")]
 Tets = Annotated[
@@ -80,7 +80,7 @@ def demo(
     ] = Path("musclefit-out/demo"),
     tets: Tets = None,
     no_pictures: NoPictures = False,
-    quiet: Quiet = False,
+    quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
     """Bend the built-in upper limb to elbow 75 degrees, forearm 70 degrees, and prove what was done."""
@@ -130,7 +130,7 @@ def run(
     ] = False,
     tets: Tets = None,
     no_pictures: NoPictures = False,
-    quiet: Quiet = False,
+    quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
     """Run a rig: deform its anatomy, check the result, write surfaces, tetrahedra and report."""
@@ -183,7 +183,7 @@ def check(
             "overlaps, open surfaces and those without an inside always do.",
         ),
     ] = (),
-    quiet: Quiet = False,
+    quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
     """Report the overlaps and mesh faults of a layered anatomy as it is."""
@@ -195,7 +195,7 @@ def check(
         codes = [code.strip() for codes in fail_on for code in codes.split(",") if code.strip()]
         report = examine(paths, out=out, units=units, kinds=kinds, fail_on=codes, progress=stages).report
     if json:
-        _print_json(to_json(report) if out is None else _written(out))
+        print_json(to_json(report) if out is None else _written(out))
     elif not quiet:
         from musclefit.cli.summary import print_inspection
 
@@ -297,7 +297,7 @@ def _run(
             progress=stages,
         ).report
     if json:
-        _print_json(_written(out))
+        print_json(_written(out))
     elif not quiet:
         from musclefit.cli.summary import print_run
 
@@ -310,10 +310,6 @@ def _written(folder: Path) -> Any:
     from musclefit.io.run_folder import REPORT_JSON
 
     return json_text.loads((folder / REPORT_JSON).read_text(encoding="utf-8"))
-
-
-def _print_json(report: Any) -> None:
-    print(json_text.dumps(report, indent=2, allow_nan=False))
 
 
 def _refuse(message: str) -> int:

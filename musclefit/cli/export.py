@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, print_json
 from musclefit.io.run_tets import Shape
 
 PASSED = 0
@@ -23,7 +23,7 @@ def export(
     shape: Annotated[
         Shape, Parameter(name="--shape", help="Positions after the deformation or before it.", show_default=True)
     ] = Shape.DEFORMED,
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm."""

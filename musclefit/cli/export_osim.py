@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, SetOption, print_json
 from musclefit.workflows.progress import TimedStages
 
 PASSED = 0
@@ -23,10 +23,8 @@ def export_osim(
         tuple[Path, ...],
         Parameter(name="--geometry", help="A further folder to look for meshes in. May be given again."),
     ] = (),
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...], Parameter(name="--set", help="key=value, as in the rig file; may be given again.")
-    ] = (),
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    set: SetOption = (),  # noqa: A002 (the option's name)
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Carry an OpenSim model by a rig's deformation: points, frames, wrap objects, lengths and geometry."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json as json_text
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, QuietOption, print_json
 from musclefit.errors import InputError
 from musclefit.workflows.progress import TimedStages
 
@@ -51,8 +51,8 @@ def fit_body(
     most_mm: Annotated[
         float, Parameter(name="--most-mm", help="Limit that 95 % of the scan's area keeps.", show_default=True)
     ] = 8.0,
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
-    json: Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON.")] = False,
+    quiet: QuietOption = False,
+    json: JsonOption = False,
 ) -> int:
     """Fit a template's skin to a scan of any triangles, and write the targets of a cage that drives the anatomy there.
 
@@ -81,7 +81,7 @@ def fit_body(
             progress=stages,
         )
     if json:
-        print(json_text.dumps(found.to_json(), indent=2))
+        print_json(found.to_json())
     elif not quiet:
         for finding in found.findings:
             print(finding.message, file=sys.stderr)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, print_json
 from musclefit.workflows.progress import TimedStages
 
 PASSED = 0
@@ -26,7 +26,7 @@ def import_osim(
     skip_missing: Annotated[
         bool, Parameter(name="--skip-missing", negative="", help="Go on without meshes that are nowhere.")
     ] = False,
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Make a rig of an OpenSim model: bones, joints, muscle paths, markers and wrap objects, mm, default pose."""

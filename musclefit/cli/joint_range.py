@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import SetOption
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
@@ -20,10 +21,7 @@ def joint_range(
     rig: Annotated[str, Parameter(help="A rig file that joints drive, or the name of a built-in rig.")],
     /,
     *,
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...],
-        Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
-    ] = (),
+    set: SetOption = (),  # noqa: A002 (the option's name)
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print no progress.")] = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON instead of a table.")] = False,
 ) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, print_json
 from musclefit.geometry.images.grids import Frame
 from musclefit.workflows.progress import TimedStages
 
@@ -22,7 +22,7 @@ def label_surfaces(
     *,
     out: Annotated[Path, Parameter(name="--out", help="Folder for one surface per label.")],
     frame: Annotated[Frame, Parameter(help="Frame of the surfaces; 3D Slicer's own are LPS.")],
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Make the closed, layered surfaces of a segmentation, which a rig reads as its anatomy."""

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from musclefit.cli.options import QuietOption
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def repair(
         Parameter(name="--kind", help="name=kind: what a tissue is, ahead of what its file name says."),
     ] = (),
     dry_run: Annotated[bool, Parameter(name="--dry-run", negative="", help="Do all of it, but write nothing.")] = False,
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON.")] = False,
 ) -> int:
     """Close holes, take out doubled, flipped and crossing faces, strays and overlaps; say each change with numbers.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import QuietOption, SetOption
 from musclefit.io.rig_names import find_rig
 from musclefit.rig.motion import Interpolation
 from musclefit.workflows.progress import TimedStages
@@ -48,10 +49,7 @@ def sequence(
     workers: Annotated[
         int, Parameter(name="--workers", help="Processes; one thread each. Without it: as many as processors.")
     ] = 0,
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...],
-        Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
-    ] = (),
+    set: SetOption = (),  # noqa: A002 (the option's name)
     no_between: Annotated[
         bool, Parameter(name="--no-between", negative="", help="Do not examine what passes between frames.")
     ] = False,
@@ -59,7 +57,7 @@ def sequence(
         bool,
         Parameter(name=("--no-pictures", "--no-film"), negative="", help="Make no film and no pictures."),
     ] = False,
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print report.json, not a summary.")] = False,
 ) -> int:
     """Follow a motion: every frame from rest, checked; muscle measures, series, film and report."""

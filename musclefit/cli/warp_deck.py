@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json as json_text
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, QuietOption, SetOption, print_json
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
@@ -26,11 +26,9 @@ def warp_deck(
     units: Annotated[
         Literal["mm", "cm", "m"], Parameter(name="--units", help="Length unit of the deck.", show_default=True)
     ] = "mm",
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...], Parameter(name="--set", help="key=value, as in the rig file; may be given again.")
-    ] = (),
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
-    json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON instead of a summary.")] = False,
+    set: SetOption = (),  # noqa: A002 (the option's name)
+    quiet: QuietOption = False,
+    json: JsonOption = False,
 ) -> int:
     """Move the nodes of a solver's deck by a rig's deformation; every other byte of the deck stays as it is.
 
@@ -41,7 +39,7 @@ def warp_deck(
     with TimedStages(shown=not quiet) as stages:
         warped = warp(rig, deck, out, units=units, overrides=set, progress=stages)
     if json:
-        print(json_text.dumps(warped.to_json(), indent=2))
+        print_json(warped.to_json())
     elif not quiet:
         _print(warped)
     return PASSED if warped.passed else FAILED

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json as json_text
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from musclefit.cli.options import JsonOption, QuietOption, SetOption, print_json
 from musclefit.geometry.images.grids import Frame
 from musclefit.workflows.progress import TimedStages
 
@@ -45,11 +45,9 @@ def warp_field(
         float | None,
         Parameter(name="--margin-mm", help="How far grids reach beyond the body; without it, twice the spacing."),
     ] = None,
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...], Parameter(name="--set", help="key=value, as in the rig file; may be given again.")
-    ] = (),
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
-    json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON instead of a summary.")] = False,
+    set: SetOption = (),  # noqa: A002 (the option's name)
+    quiet: QuietOption = False,
+    json: JsonOption = False,
 ) -> int:
     """Write a rig's deformation as grid transforms that ITK, SimpleITK, ANTs and 3D Slicer open."""
     from musclefit.workflows.warp_field import warp_field as write
@@ -67,7 +65,7 @@ def warp_field(
             progress=stages,
         )
     if json:
-        print(json_text.dumps(written.to_json(), indent=2))
+        print_json(written.to_json())
     elif not quiet:
         for path, made in written.made:
             _print(path, made)

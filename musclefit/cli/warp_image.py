@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, SetOption, print_json
 from musclefit.geometry.images.grids import Frame, Interpolation
 from musclefit.workflows.progress import TimedStages
 
@@ -40,10 +40,8 @@ def warp_image(
     jacobian: Annotated[
         Path | None, Parameter(name="--jacobian", help="Also write the Jacobian determinant at the image's voxels.")
     ] = None,
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...], Parameter(name="--set", help="key=value, as in the rig file; may be given again.")
-    ] = (),
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    set: SetOption = (),  # noqa: A002 (the option's name)
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Take an image of the body along with a rig's deformation, through its exact inverse."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,8 +12,9 @@ from scipy.spatial import cKDTree
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.figures.camera import principal_views
 from musclefit.figures.colours import Colour, tissue_colours
-from musclefit.geometry.arrays import Float
+from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.solids import ROUNDING_MM3, overlap_mesh
 from musclefit.pipeline.retarget import Outcome, Retargeting
 from musclefit.report.scene import Scene, SceneField, SceneMark, SceneShape, SceneTissue
@@ -77,7 +79,7 @@ def _scene(rest: Anatomy, shapes: list[SceneShape], left_out: list[str]) -> Scen
     return Scene(tissues, tuple(shapes), view.up, view.towards, tuple(left_out))
 
 
-def _surfaces(anatomy: Anatomy) -> tuple:  # type: ignore[type-arg]
+def _surfaces(anatomy: Anatomy) -> tuple[TriMesh, ...]:
     return tuple(tissue.surface for tissue in anatomy)
 
 
@@ -108,18 +110,22 @@ def _contact(outcome: Outcome) -> tuple[SceneMark, ...]:
     if outcome.side.bones is None or not outcome.side.bones.contact_zone_mm > 0:
         return ()
     zone = outcome.side.bones.contact_zone_mm
-    bones = outcome.rest.of_kind(TissueKind.BONE)
+    bones = [(bone.name, cKDTree(bone.surface.vertices)) for bone in outcome.rest.of_kind(TissueKind.BONE)]
     marks = []
-    for number, one in enumerate(bones):
-        for other in bones[number + 1 :]:
-            a, b = one.surface.vertices, other.surface.vertices
-            near_a = a[np.isfinite(cKDTree(b).query(a, distance_upper_bound=zone)[0])]
-            if not len(near_a):
-                continue
-            near_b = b[np.isfinite(cKDTree(a).query(b, distance_upper_bound=zone)[0])]
+    for (one, a), (other, b) in combinations(bones, 2):
+        near = [_vertices_near(b, a, zone), _vertices_near(a, b, zone)]
+        if len(near[0]):
             title = f"bones within the contact zone of {zone:.3g} mm"
-            marks.append(SceneMark("contact zone", title, (one.name, other.name), np.concatenate([near_a, near_b])))
+            marks.append(SceneMark("contact zone", title, (one, other), np.concatenate(near)))
     return tuple(marks)
+
+
+def _vertices_near(of: cKDTree, other: cKDTree, far: float) -> Points:
+    """The places of one tree that are nearer than ``far`` to some of another, mm."""
+    own: Points = of.data
+    boxed = own[((own >= other.mins - far) & (own <= other.maxes + far)).all(axis=1)]
+    near: Points = boxed[np.isfinite(other.query(boxed, distance_upper_bound=far)[0])]
+    return near
 
 
 def _marks(outcome: Outcome) -> tuple[tuple[SceneMark, ...], list[str]]:

@@ -1,4 +1,4 @@
-"""Volumes, areas and normals of meshes."""
+"""Volumes, areas and normals of meshes, and distances from their boxes."""
 
 from __future__ import annotations
 
@@ -45,3 +45,10 @@ def signed_volumes(vertices: Points, tets: Tets) -> Float:
     a, b, c = (vertices[tets[:, k]] - first for k in (1, 2, 3))
     volumes: Float = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     return volumes
+
+
+def distances_from_box(points: Points, inside: Points) -> Float:
+    """(N,) distances of (N, n) points from the axis-aligned box around others, mm; 0 where they are in it."""
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    distances: Float = np.linalg.norm(np.maximum(0.0, np.maximum(low - points, points - high)), axis=1)
+    return distances

@@ -176,10 +176,10 @@ def read_anatomy(
                 if not leave_out:
                     raise
                 unusable.append(Finding(name, "unusable", str(error)))
-                continue
-            tissues.append(tissue)
-            findings += [*notes, *raw.findings, *found]
-            hashes[(path.relative_to(folder) if folder else path).as_posix()] = raw.sha256
+            else:
+                tissues.append(tissue)
+                findings += [*notes, *raw.findings, *found]
+                hashes[(path.relative_to(folder) if folder else path).as_posix()] = raw.sha256
             tick(done / len(named))
     if not tissues:
         raise _none_usable(unusable)

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 from pathlib import Path
+
+from musclefit.errors import InputError
+
+
+def check_file_writable(path: Path) -> None:
+    """Raise InputError, before long work, unless a file can be written at a path, whose folders may have to be made."""
+    folder = next(parent for parent in path.resolve().parents if parent.exists())
+    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(f"{path}: cannot be written; choose a file in a folder that can")
 
 
 def write_atomically(path: Path, text: str) -> Path:

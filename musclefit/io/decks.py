@@ -12,6 +12,7 @@ from musclefit.io.formats.decks.abaqus import parse_abaqus
 from musclefit.io.formats.decks.febio import parse_febio
 from musclefit.io.formats.decks.lsdyna import parse_lsdyna
 from musclefit.io.formats.decks.model import Deck
+from musclefit.io.formats.texts import read_bytes
 
 
 class _Parser(Protocol):
@@ -37,11 +38,7 @@ def read_deck(path: Path) -> Deck:
         Another ending, no such file, or what its parser refuses.
     """
     require_deck(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); correct the path or its permissions") from error
-    return PARSERS[path.suffix.lower()](data, source=str(path))
+    return PARSERS[path.suffix.lower()](read_bytes(path), source=str(path))
 
 
 def require_deck(path: Path) -> None:

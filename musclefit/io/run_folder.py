@@ -339,6 +339,12 @@ def _write_states(folder: Path, states: Iterable[State], *, names: Mapping[str, 
         (folder / "states.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def require_new_folder(folder: Path) -> None:
+    """Raise InputError, before long work, unless a folder is new or empty: nothing there is replaced or mixed in."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is not an empty folder, and new files would mix with those in it; choose another")
+
+
 def write_new_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a folder that is new or empty, all of them or none.
 

@@ -23,6 +23,7 @@ from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.tets.relocation import inverse_shapes
 from musclefit.geometry.tets.topology import tet_faces
 
 SINGULAR_SHARE = 0.01
@@ -132,8 +133,7 @@ def end_vertices(mesh: TetMesh, origin: TriMesh, insertion: TriMesh, *, within_m
 
 def shape_gradients(vertices: Points, tets: Tets) -> Float:
     """(k, 4, 3) gradients of the tets' barycentric coordinates, 1/mm."""
-    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
-    inner = np.linalg.inv(edges).transpose(0, 2, 1)
+    inner = inverse_shapes(vertices, tets)
     return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
 
 

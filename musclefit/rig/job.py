@@ -13,6 +13,7 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import LandmarkError, MeshError, RigError
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.measures import distances_from_box
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.crossings import self_crossings
 from musclefit.rig.handles import BoneMotions, BonePath, Handles, Path, StraightPath
@@ -290,7 +291,7 @@ def _require_near(handles: Handles, anatomy: Anatomy) -> None:
     vertices = anatomy.vertices()
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     diagonal = float(np.linalg.norm(high - low))
-    outside = np.linalg.norm(np.maximum(0.0, np.maximum(low - handles.source, handles.source - high)), axis=1)
+    outside = distances_from_box(handles.source, vertices)
     worst = int(np.argmax(outside))
     if outside[worst] > FAR_DIAGONALS * diagonal:
         raise LandmarkError(

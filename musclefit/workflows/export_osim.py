@@ -13,15 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.measures import distances_from_box
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.anatomy import read_surface
-from musclefit.io.formats.osim import BodyPoint, OpenSimModel
+from musclefit.io.formats.osim import WRAP_SIZES, BodyPoint, OpenSimModel, WrapObject
 from musclefit.io.formats.xml_in_place import Element, replaced
 from musclefit.io.opensim_geometry import find_geometry
 from musclefit.io.rigs import read_rig
-from musclefit.io.run_folder import write_new_folder
+from musclefit.io.run_folder import require_new_folder, write_new_folder
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Progress
+from musclefit.rig.job import FAR_DIAGONALS
 from musclefit.rig.multibody import GROUND, BodyJoint
 from musclefit.rig.wrap_fits import FittedWrap, fitted_wrap, wrap_samples
 from musclefit.vocabulary import Unit
@@ -30,17 +32,8 @@ from musclefit.workflows.import_osim import read_osim
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
-FAR_DIAGONALS = 1.0
-"""A body whose origin is farther from the anatomy than this many diagonals of its box is taken for a mistake."""
-
 Move = Callable[[Points], Points]
 _M = Unit.METRE.in_mm
-_SIZES = {
-    "WrapCylinder": ("radius", "length"),
-    "WrapEllipsoid": ("dimensions",),
-    "WrapSphere": ("radius",),
-    "WrapTorus": ("inner_radius", "outer_radius"),
-}
 LENGTHS = ("optimal_fiber_length", "tendon_slack_length")
 
 
@@ -119,8 +112,7 @@ def export_osim(
         A model that cannot be read or is not where the anatomy is, or a rig that does not reach its destination.
     """
     source, folder = Path(model), Path(out)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is not an empty folder; choose another")
+    require_new_folder(folder)
     with watched(progress) as stages:
         read = read_osim(source)
         files, missing = find_geometry(read, [Path(place) for place in geometry])
@@ -145,9 +137,8 @@ def _named(model: OpenSimModel, files: Sequence[Path | None]) -> list[Element]:
 def _require_near(model: OpenSimModel, vertices: Points) -> None:
     places = model.multibody.places({})
     origins = np.array([places[body].translation for body in model.multibody.bodies])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    off = np.linalg.norm(np.maximum(0.0, np.maximum(low - origins, origins - high)), axis=1)
-    if off.min() > FAR_DIAGONALS * float(np.linalg.norm(high - low)):
+    off = distances_from_box(origins, vertices)
+    if off.min() > FAR_DIAGONALS * float(np.linalg.norm(np.ptp(vertices, axis=0))):
         raise InputError(
             f"{model.source}: the nearest of its bodies, {model.multibody.bodies[int(off.argmin())]!r}, is "
             f"{off.min():.4g} mm from the rig's anatomy; the rig must stand in the model's ground frame and default "
@@ -217,7 +208,7 @@ class _Carrier:
         self.after[joint.child] = RigidMotion(turn, origin)
         return edits
 
-    def _wrap(self, wrap: Any) -> list[tuple[Element, str]]:
+    def _wrap(self, wrap: WrapObject) -> list[tuple[Element, str]]:
         samples = wrap_samples(wrap.kind, wrap.sizes_mm)
         moved = self.move((self.before[wrap.body] @ wrap.place)(samples))
         fit = fitted_wrap(wrap.kind, wrap.sizes_mm, samples=samples, moved=moved)
@@ -226,7 +217,7 @@ class _Carrier:
         turn = Rotation.from_matrix(place.rotation).as_euler("XYZ")
         texts = {"xyz_body_rotation": _text(turn), "translation": _text(place.translation / _M)}
         sizes = fit.sizes_mm / _M
-        tags = _SIZES[wrap.kind]
+        tags = WRAP_SIZES[wrap.kind]
         texts |= {tags[0]: _text(sizes)} if len(tags) == 1 else {t: _text(sizes[[k]]) for k, t in enumerate(tags)}
         return [(child, texts[child.tag]) for child in wrap.element.children if child.tag in texts]
 

@@ -20,6 +20,7 @@ from musclefit.geometry.surfaces.cages import cage_of
 from musclefit.io.anatomy import RawSurface, read_surface
 from musclefit.io.body_fits import RIG, matrix_of, write_body_fit
 from musclefit.io.formats.landmarks import paired, read_landmarks
+from musclefit.io.run_folder import require_new_folder
 from musclefit.pipeline.fit_body import BodyFit
 from musclefit.pipeline.fit_body import fit_body as fitted
 from musclefit.progress import Progress
@@ -146,8 +147,8 @@ def fit_body(
     for name, limit in (("median_mm", median_mm), ("most_mm", most_mm)):
         if not limit > 0.0:
             raise InputError(f"{name}: found {limit:g}; expected a length above 0")
-    if out is not None and Path(out).exists() and (not Path(out).is_dir() or any(Path(out).iterdir())):
-        raise InputError(f"{out}: is not an empty folder; choose another, so that nothing of a former fit is mixed in")
+    if out is not None:
+        require_new_folder(Path(out))
     unit, other = word(Unit, units, what="units"), word(Unit, scan_units, what="scan_units")
     with watched(progress) as stages:
         with stages.stage("read the surfaces"):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +12,11 @@ import numpy as np
 from musclefit.errors import InputError
 from musclefit.io.formats.opensim_motion import parse_opensim_motion
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
+from musclefit.io.formats.rows import csv_text
+from musclefit.io.formats.tables import toml_string
+from musclefit.io.formats.texts import read_bytes
 from musclefit.io.opensim_geometry import BETWEEN, PlacedMesh, find_geometry, placed_meshes
-from musclefit.io.run_folder import ply_bytes, write_new_folder
+from musclefit.io.run_folder import ply_bytes, require_new_folder, write_new_folder
 from musclefit.progress import Progress
 from musclefit.rig.multibody import CoordinateKind
 from musclefit.workflows.progress import watched
@@ -122,17 +122,14 @@ def import_osim(
         A model or motion that cannot be read, geometry that is missing, or a folder that is not empty.
     """
     source, folder = Path(model), Path(out)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(
-            f"{folder}: is not an empty folder; the model's surfaces would mix with others: choose another"
-        )
+    require_new_folder(folder)
     with watched(progress) as stages:
         with stages.stage("read the model"):
             read = read_osim(source)
         notes = list(read.not_followed)
         motion_bytes = None
         if motion is not None:
-            motion_bytes = _bytes(Path(motion))
+            motion_bytes = read_bytes(Path(motion))
             found = parse_opensim_motion(motion_bytes, read.multibody, source=str(motion)).findings
             notes += [finding.message for finding in found]
         files, missing = find_geometry(read, [Path(place) for place in geometry])
@@ -175,20 +172,13 @@ def read_osim(path: Path) -> OpenSimModel:
     InputError
         It cannot be read, or what `parse_osim` refuses.
     """
-    return parse_osim(_bytes(path), source=str(path))
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); correct the path or its permissions") from error
+    return parse_osim(read_bytes(path), source=str(path))
 
 
 def rig_text(model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str = "") -> str:
     """The rig of a model: its closed bones on their bodies, its motion, or the first free angle a little way."""
     bodies = list(dict.fromkeys(mesh.body for mesh in meshes if not mesh.fault))
-    carried = ", ".join(f"{json.dumps(body)} = [{json.dumps(body + BETWEEN + '*')}]" for body in bodies)
+    carried = ", ".join(f"{toml_string(body)} = [{toml_string(body + BETWEEN + '*')}]" for body in bodies)
     attached = [
         name
         for name, there in (
@@ -198,12 +188,12 @@ def rig_text(model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str =
         if there
     ]
     lines = [
-        f"title = {json.dumps('OpenSim model ' + model.name)}",
+        f"title = {toml_string('OpenSim model ' + model.name)}",
         "",
         "[anatomy]",
         'folder = "bones"',
         'frame = "OpenSim ground, default pose"',
-        *([f"points = {json.dumps(attached)}"] if attached else []),
+        *([f"points = [{', '.join(map(toml_string, attached))}]"] if attached else []),
         "[anatomy.kinds]",
         '"*" = "bone"',
         "",
@@ -211,7 +201,7 @@ def rig_text(model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str =
         'kind = "opensim"',
         f'model = "{MODEL}"',
         f"carried = {{ {carried} }}",
-        f"motion = {json.dumps(motion)}" if motion else f"pose = {{ {_first_pose(model)} }}",
+        f"motion = {toml_string(motion)}" if motion else f"pose = {{ {_first_pose(model)} }}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -224,7 +214,7 @@ def _first_pose(model: OpenSimModel) -> str:
             end = of.high if abs(of.high - of.default) >= abs(of.low - of.default) else of.low
             end = end if np.isfinite(end) else of.default + 1.0
             degrees = np.rad2deg(of.default + (end - of.default) / 3.0)
-            return f"{json.dumps(of.name + '_deg')} = {degrees:.1f}"
+            return f"{toml_string(of.name + '_deg')} = {degrees:.1f}"
     raise InputError(f"{model.source}: no coordinate is an angle that is free; give a motion with --motion")
 
 
@@ -272,10 +262,4 @@ def _coordinate_rows(model: OpenSimModel) -> Iterable[dict[str, Any]]:
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    if not rows:
-        return ""
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return buffer.getvalue()
+    return csv_text([rows[0], *(row.values() for row in rows)]) if rows else ""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
 from musclefit.io.anatomy import ReadAnatomy
 from musclefit.io.label_maps import read_label_anatomy
-from musclefit.io.run_folder import file_names, ply_bytes, write_new_folder
+from musclefit.io.run_folder import file_names, ply_bytes, require_new_folder, write_new_folder
 from musclefit.progress import Progress
 from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
@@ -41,10 +40,8 @@ def label_surfaces(
     InputError, MeshError
         Files that cannot be read, labels that make no surface, or a folder that is not empty.
     """
-    if out is not None and Path(out).exists() and (not Path(out).is_dir() or any(Path(out).iterdir())):
-        raise InputError(
-            f"{out}: is not an empty folder; surfaces of former labels would mix with new ones: choose another"
-        )
+    if out is not None:
+        require_new_folder(Path(out))
     into = word(Frame, frame, what="frame")
     with watched(progress) as stages:
         read = read_label_anatomy(Path(image), Path(names), frame=into, progress=stages)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +17,8 @@ from musclefit.io.drives import JointDrive, OpenSimDrive, TransformDrive
 from musclefit.io.folder_locks import held
 from musclefit.io.formats.motions import read_motion
 from musclefit.io.formats.opensim_motion import ENDINGS
-from musclefit.io.formats.rows import plain_cell
+from musclefit.io.formats.rows import csv_text
+from musclefit.io.formats.tables import toml_string
 from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
 from musclefit.io.rigs import read_rig
@@ -267,7 +266,7 @@ def with_motion(motion: str | Path | None, overrides: Sequence[str]) -> tuple[st
         return tuple(overrides)
     if not Path(motion).is_file():
         raise InputError(f"{motion}: no such file; correct the path of the motion")
-    return (*overrides, f"drive.motion={json.dumps(str(Path(motion).absolute()))}")
+    return (*overrides, f"drive.motion={toml_string(str(Path(motion).absolute()))}")
 
 
 def run_sequence(
@@ -462,10 +461,7 @@ def _write_tables(folder: Path, report: SequenceReport, stored: Sequence[StoredF
             ]
         ),
     )
-    text = io.StringIO()
-    rows = [[plain_cell(cell) for cell in row] for row in measures_table(report.made)]
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    write_atomically(folder / MEASURES, text.getvalue())
+    write_atomically(folder / MEASURES, csv_text(measures_table(report.made)))
     write_atomically(folder / REPORT_JSON, json.dumps(sequence_to_json(report), indent=1, allow_nan=False, default=str))
 
 

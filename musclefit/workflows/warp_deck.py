@@ -11,9 +11,11 @@ import numpy as np
 
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.measures import distances_from_box
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.atomic import write_bytes_atomically
 from musclefit.io.decks import read_deck, require_deck
+from musclefit.io.formats.points import INSIDE
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Progress
@@ -23,9 +25,6 @@ from musclefit.vocabulary import Unit
 from musclefit.workflows.given import RigGiven, rig_given, word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
-
-INSIDE = 0.5
-"""Winding number of the skin from which a node is inside."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -170,7 +169,7 @@ def _require_near(nodes: Points, job: Job, *, deck: Path) -> None:
     vertices = job.anatomy.vertices()
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     reach = FAR_DIAGONALS * float(np.linalg.norm(high - low))
-    off = np.linalg.norm(np.maximum(0.0, np.maximum(low - nodes, nodes - high)), axis=1)
+    off = distances_from_box(nodes, vertices)
     span, body = float(np.linalg.norm(np.ptp(nodes, axis=0))), float(np.linalg.norm(high - low))
     if off.min() > reach or (len(nodes) > 3 and span < body / 300.0):
         raise InputError(

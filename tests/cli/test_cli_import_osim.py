@@ -37,6 +37,19 @@ def test_bones_and_points_stand_where_opensim_has_them(tmp_path: Path, capsys: p
     np.testing.assert_allclose(found, rotation @ (0, 10, 20) + translation, atol=1e-9)
 
 
+def test_names_of_a_model_are_valid_in_the_rig_and_harmless_in_tables(tmp_path: Path) -> None:
+    """Characters beyond 16 bits, quotes, and a name that a spreadsheet would run."""
+    model = write_tiny_osim(tmp_path / "model")
+    text = model.read_text(encoding="utf-8").replace(
+        '<Model name="tiny">', '<Model name="tiny \U0001f9b4 &quot;b&quot;">'
+    )
+    model.write_text(text.replace('name="puller"', 'name="=1+1"'), encoding="utf-8")
+    made = mf.import_osim(model, tmp_path / "rig")
+    assert mf.read_rig(tmp_path / "rig" / "rig.toml").rig.title == 'OpenSim model tiny \U0001f9b4 "b"'
+    paths = csv.DictReader((made.folder / "muscle_paths.csv").read_text(encoding="utf-8").splitlines())
+    assert {row["muscle"] for row in paths} == {"'=1+1"}
+
+
 def test_the_rig_follows_the_motion_as_opensim_does(tmp_path: Path) -> None:
     model = write_tiny_osim(tmp_path / "model")
     made = mf.import_osim(model, tmp_path / "rig", motion=model.with_name("walk.mot"), progress=None)

@@ -12,13 +12,14 @@ from tet_surfaces import surface_of_tets
 from musclefit.anatomy.model import TissueKind
 from musclefit.anatomy.tetrahedra import TetAnatomy
 from musclefit.certify.meshes import certify_mesh
-from musclefit.flow.tet_refinement import HeldBones, carried_tets, mended_tets, moved_tets
+from musclefit.flow.tet_refinement import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.queries.solids import overlap_volume, solid_of
 from musclefit.io.rig_names import find_rig
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Silent
+from musclefit.rig.job import Job
 from musclefit.validate.tets import check_tets
 from musclefit.vocabulary import Claim
 from musclefit.workflows.run import prepared_tets
@@ -55,13 +56,7 @@ def test_a_limb_bent_deeper_is_certified_with_whatever_mesh_comes(
     job = read_rig(find_rig("upper_limb"), overrides=pose, progress=Silent())
     tets = prepared_tets(job)
     assert tets is not None
-    assert job.motions is not None
-    deformed = deform(job, job.anatomy.vertices(), progress=Silent())
-    motions = job.motions.at(1.0)
-    held = [HeldBones(group.bones, motions[group.bones[0]]) for group in deformed.groups]
-    found = mended_tets(moved_tets(tets, deformed.deformation), held, progress=Silent())
-    check = check_tets(found.rest, found.vertices)
-    assert (check.claim, check.inverted, check.crossings) == (Claim.CERTIFIED, 0, 0)
+    found, _ = certified_with_rigid_bones(job, tets)
     assert_only_filler_was_left_out(tets, found.rest)
 
 
@@ -74,7 +69,6 @@ def test_the_real_forearm_with_rigid_bones_is_certified_and_its_tissues_are_apar
     job = read_rig(find_rig("forearm_rigid"), overrides=RIGID, progress=Silent())
     tets = prepared_tets(job)
     assert tets is not None
-    assert job.motions is not None
     assert len(job.anatomy) == 70
     fits = {fit.name: fit for fit in tets.fits}
     for tissue in job.anatomy:
@@ -82,12 +76,7 @@ def test_the_real_forearm_with_rigid_bones_is_certified_and_its_tissues_are_apar
         assert fit.tets > 0
         assert fit.surface_mm3 is not None
         np.testing.assert_allclose(fit.volume_mm3, fit.surface_mm3, rtol=0.02, atol=0, err_msg=tissue.name)
-    deformed = deform(job, job.anatomy.vertices(), progress=Silent())
-    motions = job.motions.at(1.0)
-    held = [HeldBones(group.bones, motions[group.bones[0]]) for group in deformed.groups]
-    found = mended_tets(moved_tets(tets, deformed.deformation), held, progress=Silent())
-    check = check_tets(found.rest, found.vertices)
-    assert (check.claim, check.inverted, check.crossings) == (Claim.CERTIFIED, 0, 0)
+    found, held = certified_with_rigid_bones(job, tets)
     assert set(found.rest.tissue_of_tet) == set(range(70))
     assert found.left_out_mm3 < 1e-3 * tets.volumes_by_tissue()[skin_of(tets)]
     assert_only_filler_was_left_out(tets, found.rest)
@@ -96,6 +85,18 @@ def test_the_real_forearm_with_rigid_bones_is_certified_and_its_tissues_are_apar
         own = np.unique(found.rest.mesh.tets[np.isin(found.rest.tissue_of_tet, numbers)])
         np.testing.assert_array_equal(found.vertices[own], bones.motion(found.rest.mesh.vertices[own]))
     assert largest_overlap(found.rest, found.vertices) < 1e-6
+
+
+def certified_with_rigid_bones(job: Job, tets: TetAnatomy) -> tuple[CarriedTets, list[HeldBones]]:
+    """The tets of a job with rigid bones, moved and mended, which must be certified; and what was held."""
+    assert job.motions is not None
+    deformed = deform(job, job.anatomy.vertices(), progress=Silent())
+    motions = job.motions.at(1.0)
+    held = [HeldBones(group.bones, motions[group.bones[0]]) for group in deformed.groups]
+    found = mended_tets(moved_tets(tets, deformed.deformation), held, progress=Silent())
+    check = check_tets(found.rest, found.vertices)
+    assert (check.claim, check.inverted, check.crossings) == (Claim.CERTIFIED, 0, 0)
+    return found, held
 
 
 def skin_of(tets: TetAnatomy) -> int:

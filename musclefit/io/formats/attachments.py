@@ -6,6 +6,7 @@ from pathlib import Path
 
 from musclefit.errors import InputError
 from musclefit.io.formats.rows import csv_lines
+from musclefit.io.formats.texts import decoded
 from musclefit.muscles.attachments import End, StatedEnd
 
 COLUMNS = ("muscle", "end", "bone", "within_mm", "vertices")
@@ -29,11 +30,10 @@ def read_attachments(path: str | Path) -> tuple[StatedEnd, ...]:
     """
     path = Path(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: the attachments cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
+    text = decoded(data, str(path))
     lines = csv_lines(text, path, delimiter=",") if text.strip() else []
     if not lines:
         raise InputError(f"{path}: is empty; expected the columns {', '.join(COLUMNS[:3])}")

@@ -8,7 +8,6 @@ result back to it.
 
 from __future__ import annotations
 
-import os
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame, Grid, in_frame
+from musclefit.io.atomic import check_file_writable
 from musclefit.io.formats.nifti import require_nibabel, write_displacements
 
 IMAGES, TRANSFORMS, NIFTI = (".nrrd", ".mha"), (".h5",), (".nii.gz", ".nii")
@@ -45,9 +45,7 @@ def check_grid_transforms_writable(paths: Sequence[Path]) -> None:
             _simpleitk(path)
         if path.resolve() in {other.resolve() for other in paths[:k]}:
             raise InputError(f"{path}: is named twice; give each transform a file of its own")
-        folder = next(parent for parent in (path.resolve().parent, *path.resolve().parents) if parent.exists())
-        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-            raise InputError(f"{path}: cannot be written; choose a file in a folder that can")
+        check_file_writable(path)
 
 
 def write_grid_transform(path: Path, vectors: NDArray[Any], grid: Grid, *, description: str) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from musclefit.errors import InputError
 from musclefit.io.formats.rows import csv_lines
+from musclefit.io.formats.texts import decoded
 from musclefit.rig.motion import Motion
 
 TIME = "time_s"
@@ -39,11 +40,10 @@ def read_motion(path: str | Path) -> Motion:
             "model with `musclefit import-osim`, or give a CSV with time_s and <coordinate>_deg"
         )
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: the motion cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
+    text = decoded(data, str(path))
     lines = csv_lines(text, path, delimiter=",") if text.strip() else []
     if not lines:
         raise InputError(f"{path}: is empty; expected the columns {TIME} and <coordinate>{ANGLE}")

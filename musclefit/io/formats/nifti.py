@@ -8,7 +8,6 @@ Displacement fields are written as those programs read them: five axes (x, y, z,
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame, Grid, in_frame
+from musclefit.io.atomic import check_file_writable
 from musclefit.io.formats.texts import read_bytes
 
 _ENDINGS = (".nii", ".nii.gz")
@@ -125,9 +125,7 @@ def check_images_writable(paths: Sequence[Path], *, given: Sequence[Path]) -> No
                 f"{path}: is named twice, or is the image that is read; give each result a file of its own"
             )
         taken[path.resolve()] = path
-        folder = next(parent for parent in (path.resolve().parent, *path.resolve().parents) if parent.exists())
-        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-            raise InputError(f"{path}: cannot be written; choose a file in a folder that can")
+        check_file_writable(path)
 
 
 def write_volume(path: Path, values: NDArray[Any], grid: Grid, *, description: str) -> None:

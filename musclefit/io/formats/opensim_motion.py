@@ -12,6 +12,7 @@ import numpy as np
 from musclefit.anatomy.findings import Finding
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float
+from musclefit.io.formats.texts import decoded
 from musclefit.rig.multibody import Coordinate, CoordinateKind, Multibody
 from musclefit.rig.table_reader import suggestion
 
@@ -54,11 +55,7 @@ def parse_opensim_motion(data: bytes, multibody: Multibody, *, source: str) -> C
         No header, another number of rows or columns than it says, a value that is no number, times that do not rise,
         angles without a unit, or no column that is a coordinate of the model.
     """
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{source}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
-    lines = text.splitlines()
+    lines = decoded(data, source).splitlines()
     ends = [k for k, line in enumerate(lines) if line.strip().lower() == "endheader"]
     if not ends:
         raise InputError(f"{source}: no line 'endheader'; expected a motion of OpenSim (.mot, .sto), whole")

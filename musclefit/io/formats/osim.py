@@ -46,7 +46,13 @@ _TURNS = {
     "CustomJoint": (),
 }
 _SLIDES = {"FreeJoint": (_X, _Y, _Z), "PlanarJoint": (_X, _Y), "SliderJoint": (_X,)}
-_WRAPS = ("WrapCylinder", "WrapEllipsoid", "WrapSphere", "WrapTorus")
+WRAP_SIZES = {
+    "WrapCylinder": ("radius", "length"),
+    "WrapEllipsoid": ("dimensions",),
+    "WrapSphere": ("radius",),
+    "WrapTorus": ("inner_radius", "outer_radius"),
+}
+"""Wrap objects that are read, and the elements that hold their sizes."""
 _POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 
 
@@ -435,14 +441,8 @@ class _Reader:
     def _wraps(self) -> Iterator[WrapObject]:
         for body in self._ground_and_bodies():
             name = body.name if body.tag == "Body" else GROUND
-            for wrap in body.all(*_WRAPS):
-                tags = {
-                    "WrapCylinder": ("radius", "length"),
-                    "WrapEllipsoid": ("dimensions",),
-                    "WrapSphere": ("radius",),
-                    "WrapTorus": ("inner_radius", "outer_radius"),
-                }[wrap.tag]
-                sizes = np.concatenate([self._numbers(wrap, tag) for tag in tags]) * self.length_mm
+            for wrap in body.all(*WRAP_SIZES):
+                sizes = np.concatenate([self._numbers(wrap, tag) for tag in WRAP_SIZES[wrap.tag]]) * self.length_mm
                 place = self._frame_of(wrap, "translation", "xyz_body_rotation")
                 yield WrapObject(wrap.name, wrap.tag, name, place, sizes, wrap, RigidMotion.identity())
 

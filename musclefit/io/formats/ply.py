@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Faces, Float, Int
-from musclefit.geometry.surfaces.polygons import cut_strips
-from musclefit.io.formats.surfaces import WAY_OUT, Polygons, polygons_cut
+from musclefit.io.formats.surfaces import WAY_OUT, Polygons, polygons_cut, strips_cut
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -100,9 +99,7 @@ def _strip_faces(strips: _Column, source: str) -> Faces:
     ends[np.cumsum(strips.sizes)] = True
     number = np.cumsum((corners == -1) | ends[:-1])[corners != -1]
     sizes = np.unique(number, return_counts=True)[1]
-    if sizes.size and sizes.min() < 3:
-        raise MeshError(f"{source}: a triangle strip has {sizes.min()} corners; it needs 3. {WAY_OUT}")
-    return cut_strips(sizes, corners[corners != -1])
+    return strips_cut(sizes, corners[corners != -1], source)
 
 
 def _indices(values: NDArray[Any], source: str) -> Int:

@@ -18,7 +18,7 @@ import numpy as np
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Faces, Float, Int, Points
-from musclefit.geometry.surfaces.polygons import cut_polygons
+from musclefit.geometry.surfaces.polygons import cut_polygons, cut_strips
 
 WAY_OUT = "the file is damaged or cut short; export it again"
 """What to do about a file that does not hold what it says."""
@@ -171,3 +171,16 @@ def polygons_cut(vertices: Points, sizes: Int, corners: Int, source: str) -> Pol
         return Polygons(vertices, cut_polygons(vertices, sizes, corners), int((sizes > 3).sum()))
     except ValueError as error:
         raise MeshError(f"{source}: {error}; cut it into triangles and export it again") from None
+
+
+def strips_cut(sizes: Int, corners: Int, source: str) -> Faces:
+    """The triangles of strips, given by their sizes and their corners one after the other.
+
+    Raises
+    ------
+    MeshError
+        A strip of fewer than 3 corners.
+    """
+    if len(sizes) and sizes.min() < 3:
+        raise MeshError(f"{source}: a triangle strip has {sizes.min()} corners; it needs 3. {WAY_OUT}")
+    return cut_strips(sizes, corners)

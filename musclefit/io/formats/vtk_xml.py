@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Int, Points
-from musclefit.geometry.surfaces.polygons import cut_strips
-from musclefit.io.formats.surfaces import WAY_OUT, Polygons, polygons_cut
+from musclefit.io.formats.surfaces import WAY_OUT, Polygons, polygons_cut, strips_cut
 
 _DTYPES: Mapping[str, str] = MappingProxyType(
     {f"{'U' if sign == 'u' else ''}Int{8 * size}": f"{sign}{size}" for sign in "iu" for size in (1, 2, 4, 8)}
@@ -458,6 +457,5 @@ def read_vtp(data: bytes, source: str) -> Polygons:
     faces = polygons_cut(points, polys.sizes, polys.corners, source)
     if not len(strips.sizes):
         return faces
-    if strips.sizes.min() < 3:
-        raise MeshError(f"{source}: a triangle strip has {strips.sizes.min()} corners; it needs 3. {WAY_OUT}")
-    return Polygons(points, np.concatenate([faces.faces, cut_strips(strips.sizes, strips.corners)]), faces.cut)
+    more = strips_cut(strips.sizes, strips.corners, source)
+    return Polygons(points, np.concatenate([faces.faces, more]), faces.cut)

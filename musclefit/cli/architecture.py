@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from musclefit.cli.options import JsonOption, print_json
+from musclefit.cli.options import JsonOption, QuietOption, SetOption, print_json
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
@@ -44,15 +44,11 @@ def architecture(
         Parameter(name="--muscles", help="Name or shell-style pattern of the muscles to look at. May be given again."),
     ] = (),
     rest: Annotated[bool, Parameter(name="--rest", negative="", help="Stay at rest: nothing is deformed.")] = False,
-    set: Annotated[  # noqa: A002 (the option's name)
-        tuple[str, ...],
-        Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
-    ] = (),
-    quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")] = False,
+    set: SetOption = (),  # noqa: A002 (the option's name)
+    quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Find where muscles hold on to bone, how their fibres run and their moment arms; carry them by the rig's map."""
-    from musclefit.report.frames import row_of
     from musclefit.workflows.architecture import architecture as find
 
     folder = out or Path("musclefit-out") / f"{Path(rig).stem}-architecture"
@@ -68,8 +64,7 @@ def architecture(
             progress=stages,
         )
     if json:
-        rows = {name: [row_of(record) for record in records] for name, records in found.tables().items()}
-        print_json({"title": found.title, "folder": str(folder), "claim": found.claim, **rows})
+        print_json({"folder": str(folder), **found.to_json()})
     elif not quiet:
         _print(found)
     return PASSED

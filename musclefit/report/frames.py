@@ -25,10 +25,9 @@ def frames_of(tables: Mapping[str, Iterable[Any]]) -> dict[str, DataFrame]:
         from pandas import DataFrame
     except ImportError:
         raise InputError("data frames need pandas; install it: pip install 'musclefit[notebook]'") from None
-    return {name: DataFrame([row_of(record) for record in records]) for name, records in tables.items()}
+    return {name: DataFrame([_row(record) for record in records]) for name, records in tables.items()}
 
 
-def row_of(record: Any) -> dict[str, Any]:
-    """A record, or a mapping, as a mapping of plain values."""
+def _row(record: Any) -> dict[str, Any]:
     values = asdict(record) if is_dataclass(record) and not isinstance(record, type) else dict(record)
     return {key: value.value if isinstance(value, Enum) else value for key, value in values.items()}

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -20,9 +18,10 @@ from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.attachments import read_attachments
+from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.rigs import read_rig
-from musclefit.io.run_folder import Maker, check_writable, write_surfaces
+from musclefit.io.run_folder import Maker, claimed, write_surfaces
 from musclefit.meshing.cache import TetCache, default_limit_mb
 from musclefit.meshing.muscle_tets import muscle_tets
 from musclefit.muscles.attachments import MuscleEnds, find_ends, usual_distance_mm
@@ -136,6 +135,20 @@ class Architecture(Shown):
             "moment_arms": self.moment_arms,
         }
 
+    def to_json(self) -> dict[str, Any]:
+        """All but meshes and lines; None stands for what is no finite number."""
+        rows = {name: [_row(record) for record in records] for name, records in self.tables().items()}
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "musclefit_version": __version__,
+            "title": self.title,
+            "claim": self.claim,
+            "within_mm": self.within_mm,
+            "without_two_attachments": list(self.without_two_attachments),
+            "without_fibres": dict(self.left_out),
+            **rows,
+        }
+
 
 def architecture(
     rig: RigGiven | Run,
@@ -171,63 +184,77 @@ def architecture(
     Raises
     ------
     RigError, LandmarkError, MeshError, InputError
-        Input that cannot be used, before long work.
+        Input that cannot be used, before long work; or another process writes into the folder.
+    NotConvergedError
+        The rig does not reach its pose, so that there is no map to carry by.
     """
-    if out is not None:
-        check_writable(Path(out), by=Maker.ARCHITECTURE)
-    if within_mm is not None and not 0.0 < within_mm < np.inf:
-        raise InputError(f"within_mm: found {within_mm}; expected a finite length above 0, mm")
-    stated = () if attachments is None else read_attachments(attachments)
-    with watched(progress) as stages:
-        job = rig.job if isinstance(rig, Run) else read_rig(rig_given(rig), overrides=overrides, progress=stages)
-        motions = {} if job.motions is None else dict(job.motions.at(1.0))
-        with stages.stage("attachments"):
-            wanted = _wanted(job, muscles)
-            within = usual_distance_mm(job.anatomy) if within_mm is None else within_mm
-            ends = find_ends(job.anatomy, within_mm=within, stated=stated, travel=_travel(job, motions))
-            ends = tuple(one for one in ends if one.muscle in wanted)
-        deformation = _map_of(rig, job, progress=stages) if deform else None
-        fibred, left_out, whole = _fibres(job, ends, progress=stages)
-        at_rest = tuple(
-            measure_at_rest(
-                job.anatomy[name].surface, one.ends, one.field, one.lines, belly=one.belly, pieces=p, missed_mm=m
+    folder = None if out is None else Path(out)
+    with claimed(folder, by=Maker.ARCHITECTURE):
+        if within_mm is not None and not 0.0 < within_mm < np.inf:
+            raise InputError(f"within_mm: found {within_mm}; expected a finite length above 0, mm")
+        stated = () if attachments is None else read_attachments(attachments)
+        with watched(progress) as stages:
+            job = rig.job if isinstance(rig, Run) else read_rig(rig_given(rig), overrides=overrides, progress=stages)
+            motions = {} if job.motions is None else dict(job.motions.at(1.0))
+            with stages.stage("attachments"):
+                wanted = _wanted(job, muscles)
+                within = usual_distance_mm(job.anatomy) if within_mm is None else within_mm
+                ends = find_ends(job.anatomy, within_mm=within, stated=stated, travel=_travel(job, motions))
+                ends = tuple(one for one in ends if one.muscle in wanted)
+            deformation = _map_of(rig, job, progress=stages) if deform else None
+            fibred, left_out, whole = _fibres(job, ends, progress=stages)
+            at_rest = tuple(
+                measure_at_rest(
+                    job.anatomy[name].surface, one.ends, one.field, one.lines, belly=one.belly, pieces=p, missed_mm=m
+                )
+                for (name, one), (p, m) in zip(fibred.items(), whole, strict=True)
             )
-            for (name, one), (p, m) in zip(fibred.items(), whole, strict=True)
+            carried = () if deformation is None else _carry(job, fibred, deformation, motions, progress=stages)
+        arms: tuple[MomentArm, ...] = ()
+        if job.joints is not None:
+            arms = moment_arms(ends, job.joints, pose=dict(job.pose), coordinates=[name for name, _ in job.pose])
+        found = Architecture(
+            title=job.title,
+            within_mm=within,
+            ends=ends,
+            muscles=at_rest,
+            carried=carried,
+            moment_arms=arms,
+            fibred=fibred,
+            left_out=left_out,
+            claim=_claim(rig, deformed=deformation is not None),
+            folder=folder,
         )
-        carried: list[CarriedMuscle] = []
-        if deformation is not None:
-            with stages.stage("carry fibres") as tick:
-                for done, (name, one) in enumerate(list(fibred.items()), start=1):
-                    row, points = measure_carried(
-                        job.anatomy[name].surface,
-                        one.ends,
-                        one.field,
-                        one.lines,
-                        belly=one.belly,
-                        mapped=deformation.with_jacobian,
-                        motions=motions,
-                    )
-                    carried.append(row)
-                    fibred[name] = FibredMuscle(one.ends, one.field, one.lines, one.belly, points)
-                    tick(done / len(fibred))
-    arms: tuple[MomentArm, ...] = ()
-    if job.joints is not None:
-        arms = moment_arms(ends, job.joints, pose=dict(job.pose), coordinates=[name for name, _ in job.pose])
-    found = Architecture(
-        title=job.title,
-        within_mm=within,
-        ends=ends,
-        muscles=at_rest,
-        carried=tuple(carried),
-        moment_arms=arms,
-        fibred=fibred,
-        left_out=left_out,
-        claim=_claim(rig, deformed=deformation is not None),
-        folder=None if out is None else Path(out),
-    )
-    if out is not None:
-        _write(found, Path(out))
+        if folder is not None:
+            _write(found, folder)
     return found
+
+
+def _carry(
+    job: Job,
+    fibred: dict[str, FibredMuscle],
+    deformation: Deformation,
+    motions: Mapping[str, RigidMotion],
+    *,
+    progress: Progress,
+) -> tuple[CarriedMuscle, ...]:
+    """The muscles' numbers after the map; ``fibred`` gets where it takes their lines."""
+    carried = []
+    with progress.stage("carry fibres") as tick:
+        for done, (name, one) in enumerate(fibred.items(), start=1):
+            row, points = measure_carried(
+                job.anatomy[name].surface,
+                one.ends,
+                one.field,
+                one.lines,
+                belly=one.belly,
+                mapped=deformation.with_jacobian,
+                motions=motions,
+            )
+            carried.append(row)
+            fibred[name] = replace(one, carried_points=points)
+            tick(done / len(fibred))
+    return tuple(carried)
 
 
 def _fibres(
@@ -249,11 +276,11 @@ def _fibres(
                     insertion=one.insertion.surface,
                     within_mm=ENVELOPES * tets.envelope_mm,
                 )
+                lines = streamlines(field, count=LINES)
+                fibred[one.muscle] = FibredMuscle(one, field, lines, belly_of(muscle.surface))
+                whole.append((tets.pieces, tets.missed_mm))
             except MeshError as error:
                 left_out[one.muscle] = str(error)
-                continue
-            fibred[one.muscle] = FibredMuscle(one, field, streamlines(field, count=LINES), belly_of(muscle.surface))
-            whole.append((tets.pieces, tets.missed_mm))
             tick(done / len(ends))
     return fibred, left_out, whole
 
@@ -272,7 +299,7 @@ def _map_of(rig: RigGiven | Run, job: Job, *, progress: Progress) -> Deformation
         return rig.deformation
     if job.rig.bones.rigid:
         refuse_collision(job, bones_of(job))
-    return deform_finely(job, progress=progress).deformed.deformation
+    return deform_finely(job, progress=progress).deformed.deformation.require()
 
 
 def _travel(job: Job, motions: Mapping[str, RigidMotion]) -> Mapping[str, float]:
@@ -315,32 +342,19 @@ def _attachment_rows(ends: Sequence[MuscleEnds]) -> list[dict[str, Any]]:
 
 
 def _write(found: Architecture, folder: Path) -> None:
-    tables: dict[str, list[dict[str, Any]]] = {
-        "attachments": _attachment_rows(found.ends),
-        "muscles": [asdict(row) for row in found.muscles],
-        "carried": [asdict(row) for row in found.carried],
-        "moment_arms": [asdict(row) for row in found.moment_arms],
-    }
+    report = found.to_json()
     headings = {
-        "attachments": [*(tables["attachments"][0] if tables["attachments"] else ())],
+        "attachments": list(report["attachments"][0]) if report["attachments"] else [],
         "muscles": [field.name for field in fields(MuscleArchitecture)],
         "carried": [field.name for field in fields(CarriedMuscle)],
         "moment_arms": [field.name for field in fields(MomentArm)],
     }
-    files = {f"{name}.csv": _csv(rows, headings[name]) for name, rows in tables.items()}
+    files = {
+        f"{name}.csv": csv_text([h, *(row.values() for row in report[name])]).encode() for name, h in headings.items()
+    }
     files["fibres.vtk"] = _fibres_vtk(found, carried=False)
     if found.carried:
         files["fibres_carried.vtk"] = _fibres_vtk(found, carried=True)
-    report = {
-        "schema_version": SCHEMA_VERSION,
-        "musclefit_version": __version__,
-        "title": found.title,
-        "claim": found.claim,
-        "within_mm": found.within_mm,
-        "without_two_attachments": list(found.without_two_attachments),
-        "without_fibres": dict(found.left_out),
-        **{name: [_finite(row) for row in rows] for name, rows in tables.items()},
-    }
     write_surfaces(folder, files, report=report, by=Maker.ARCHITECTURE)
 
 
@@ -357,14 +371,7 @@ def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:
     return vtk_lines(lines, title=f"fibres in mm; muscles: {names}", line_data={"muscle": np.array(numbers, float)})
 
 
-def _csv(rows: Sequence[Mapping[str, Any]], headings: Sequence[str]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, headings, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(_finite(row) for row in rows)
-    return text.getvalue().encode("utf-8")
-
-
-def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The row with None for what is no finite number."""
-    return {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in row.items()}
+def _row(record: Any) -> dict[str, Any]:
+    """A record, or a mapping, with None for what is no finite number."""
+    values = asdict(record) if is_dataclass(record) and not isinstance(record, type) else dict(record)
+    return {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in values.items()}

@@ -50,6 +50,32 @@ def test_attachments_fibres_and_moment_arms_are_written(
     assert np.linalg.norm(rest.points - moved.points, axis=1).max() > 1.0
 
 
+def test_what_is_printed_is_what_is_written_and_valid_json(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["architecture", str(rig), "--rest", "--out", str(out), "--quiet", "--json"]) == 0
+
+    def refused(word: str) -> float:
+        raise AssertionError(f"{word} is no JSON")
+
+    told = json.loads(capsys.readouterr().out, parse_constant=refused)
+    written = json.loads((out / "report.json").read_text(encoding="utf-8"), parse_constant=refused)
+    assert told.pop("folder") == str(out)
+    assert {key: written[key] for key in told} == told
+
+
+def test_a_rig_that_does_not_arrive_has_no_map_to_carry_by(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    few = ("--set", "deformer.method=own", "--set", "bones.rigid=false", "--set", "deformer.max_steps=1")
+    share = ("--set", "deformer.limit_share=0.01")
+    assert main(["architecture", str(rig), "--out", str(out), *few, *share]) == 2
+    assert "the deformation ended early" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_at_rest_nothing_is_deformed(rig: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["architecture", str(rig), "--rest", "--out", str(out), "--quiet"]) == 0

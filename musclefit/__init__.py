@@ -2,8 +2,8 @@
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
 `fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export`,
-`export_osim`, `import_osim`, `architecture` and `init`. They and what they give back are stable, as are the other names
-of this module; what is in the rooms below may change with any version.
+`export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They and what they give back are stable, as are
+the other names of this module; what is in the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.check import check
     from musclefit.workflows.export import export
     from musclefit.workflows.export_osim import export_osim
+    from musclefit.workflows.febio_model import febio_model
     from musclefit.workflows.fit_body import fit_body
     from musclefit.workflows.fit_joint import fit_joint
     from musclefit.workflows.import_osim import import_osim
@@ -78,6 +79,7 @@ _HOMES = {
     "check": "workflows.check",
     "export": "workflows.export",
     "export_osim": "workflows.export_osim",
+    "febio_model": "workflows.febio_model",
     "find_rig": "io.rigs",
     "fit_body": "workflows.fit_body",
     "fit_joint": "workflows.fit_joint",
@@ -134,6 +136,7 @@ __all__ = [
     "check",
     "export",
     "export_osim",
+    "febio_model",
     "find_rig",
     "fit_body",
     "fit_joint",

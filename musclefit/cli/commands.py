@@ -23,6 +23,7 @@ from musclefit.cli.architecture import architecture
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
 from musclefit.cli.export_osim import export_osim
+from musclefit.cli.febio_model import febio_model
 from musclefit.cli.fit_body import fit_body
 from musclefit.cli.fit_joint import fit_joint
 from musclefit.cli.import_osim import import_osim
@@ -214,6 +215,7 @@ app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
 app.command(joint_range, name="joint-range", sort_key=7)
 app.command(architecture, sort_key=7)
+app.command(febio_model, name="febio-model", sort_key=7)
 app.command(repair, sort_key=3)
 app.command(fit_body, name="fit-body", sort_key=4)
 app.command(cage, sort_key=6)

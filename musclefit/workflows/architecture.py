@@ -18,6 +18,7 @@ from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.attachments import read_attachments
+from musclefit.io.formats.fibre_directions import FIBRES, fibre_bytes
 from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.rigs import read_rig
@@ -352,10 +353,17 @@ def _write(found: Architecture, folder: Path) -> None:
     files = {
         f"{name}.csv": csv_text([h, *(row.values() for row in report[name])]).encode() for name, h in headings.items()
     }
+    files[FIBRES] = fibre_bytes({name: _directions(one.field) for name, one in found.fibred.items()})
     files["fibres.vtk"] = _fibres_vtk(found, carried=False)
     if found.carried:
         files["fibres_carried.vtk"] = _fibres_vtk(found, carried=True)
     write_surfaces(folder, files, report=report, by=Maker.ARCHITECTURE)
+
+
+def _directions(field: FibreField) -> tuple[Points, Points]:
+    """The middles of the tetrahedra that have a direction, and the directions."""
+    used = np.linalg.norm(field.directions, axis=1) > 0.0
+    return field.mesh.vertices[field.mesh.tets[used]].mean(axis=1), field.directions[used]
 
 
 def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:

@@ -16,6 +16,7 @@ from musclefit.workflows.progress import TimedStages, watched
 
 COMMANDS = (
     "architecture",
+    "febio_model",
     "run",
     "sequence",
     "check",

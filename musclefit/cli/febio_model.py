@@ -1,0 +1,34 @@
+"""The command that writes a model for FEBio from a run and its muscles' fibres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from musclefit.cli.options import JsonOption, QuietOption, print_json
+
+PASSED = 0
+
+
+def febio_model(
+    run: Annotated[Path, Parameter(help="The folder that a run with tetrahedra wrote.")],
+    architecture: Annotated[Path, Parameter(help="The folder that musclefit architecture wrote for the same anatomy.")],
+    out: Annotated[Path, Parameter(help="The .feb file to write; replaced.")],
+    /,
+    *,
+    quiet: QuietOption = False,
+    json: JsonOption = False,
+) -> int:
+    """Write a model for FEBio 4: bones prescribed from rest into the run's pose, muscles with fibres, soft filler."""
+    from musclefit.workflows.febio_model import febio_model as write
+
+    made = write(run, architecture, out)
+    if json:
+        print_json(made.to_json())
+    elif not quiet:
+        print(made.said())
+        for name in made.without_fibres:
+            print(f"{name}: no fibres, written as soft tissue")
+    return PASSED

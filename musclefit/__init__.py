@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from musclefit.rig.handles import Handles, StraightPath
     from musclefit.vocabulary import Claim, Unit
     from musclefit.workflows.architecture import architecture
+    from musclefit.workflows.batch import batch
     from musclefit.workflows.cage import cage
     from musclefit.workflows.check import check
+    from musclefit.workflows.collect import collect
     from musclefit.workflows.export import export
     from musclefit.workflows.export_osim import export_osim
     from musclefit.workflows.febio_model import febio_model
@@ -75,8 +77,10 @@ _HOMES = {
     "TriMesh": "geometry.meshes",
     "Unit": "vocabulary",
     "architecture": "workflows.architecture",
+    "batch": "workflows.batch",
     "cage": "workflows.cage",
     "check": "workflows.check",
+    "collect": "workflows.collect",
     "export": "workflows.export",
     "export_osim": "workflows.export_osim",
     "febio_model": "workflows.febio_model",
@@ -132,8 +136,10 @@ __all__ = [
     "Unit",
     "__version__",
     "architecture",
+    "batch",
     "cage",
     "check",
+    "collect",
     "export",
     "export_osim",
     "febio_model",

@@ -20,6 +20,7 @@ from rich.console import Console
 from musclefit._version import __version__
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.architecture import architecture
+from musclefit.cli.batch import batch, collect
 from musclefit.cli.cage import cage
 from musclefit.cli.export import export
 from musclefit.cli.export_osim import export_osim
@@ -219,6 +220,8 @@ app.command(febio_model, name="febio-model", sort_key=7)
 app.command(repair, sort_key=3)
 app.command(fit_body, name="fit-body", sort_key=4)
 app.command(cage, sort_key=6)
+app.command(batch, sort_key=6)
+app.command(collect, sort_key=6)
 app.command(rigs, sort_key=8)
 app.command(init, sort_key=8)
 app.command(schema, sort_key=8)

@@ -102,6 +102,85 @@ class Pool:
         )
 
 
+class Died:
+    """In place of a result: the process that worked on it ended without a word."""
+
+
+class Crew:
+    """Worker processes of which each does one task at a time, so that one that ends takes no other's work along.
+
+    Parameters
+    ----------
+    workers : int
+        0 runs the tasks in this process.
+    prepare : callable
+        Run once in each worker, with ``given``; it and the tasks must be importable.
+    given : sequence
+    """
+
+    def __init__(self, workers: int, *, prepare: Callable[..., None], given: Sequence[Any]) -> None:
+        self._workers, self._prepare, self._given = workers, prepare, tuple(given)
+        self._executors: dict[int, ProcessPoolExecutor] = {}
+        self._before: set[multiprocessing.process.BaseProcess] = set()
+
+    def __enter__(self) -> Crew:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        children = set(multiprocessing.active_children()) - self._before if self._executors else set()
+        for executor in self._executors.values():
+            executor.shutdown(wait=kind is None, cancel_futures=True)
+        if kind is not None:
+            for child in children:
+                child.terminate()
+            for child in children:
+                child.join()
+
+    def run(self, task: Callable[[int], Any], numbers: Sequence[int]) -> Iterator[tuple[int, Any]]:
+        """The results of a task for each number, as they are done; `Died` for one whose process ended."""
+        if not self._workers:
+            if numbers:
+                self._prepare(*self._given)
+            for number in numbers:
+                yield number, task(number)
+            return
+        if not self._executors:
+            self._before = set(multiprocessing.active_children())
+        left, waiting = list(reversed(numbers)), dict[Future[Any], tuple[int, int]]()
+        with _pinned():
+            for slot in range(min(self._workers, len(left))):
+                number = left.pop()
+                waiting[self._submit(slot, task, number)] = slot, number
+            while waiting:
+                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    slot, number = waiting.pop(future)
+                    try:
+                        result = future.result()
+                    except BrokenProcessPool:
+                        self._executors.pop(slot).shutdown(wait=True)
+                        result = Died()
+                    if left:
+                        following = left.pop()
+                        waiting[self._submit(slot, task, following)] = slot, following
+                    yield number, result
+
+    def _submit(self, slot: int, task: Callable[[int], Any], number: int) -> Future[Any]:
+        if slot not in self._executors:
+            context = multiprocessing.get_context("spawn")
+            self._executors[slot] = ProcessPoolExecutor(
+                1,
+                mp_context=context,
+                initializer=_begin,
+                initargs=(context.Value("i", slot), self._workers, self._prepare, self._given),
+            )
+        try:
+            return self._executors[slot].submit(task, number)
+        except BrokenProcessPool:  # it ended while it had nothing to do
+            self._executors.pop(slot).shutdown(wait=True)
+            return self._submit(slot, task, number)
+
+
 def _begin(turn: Any, workers: int, prepare: Callable[..., None], given: tuple[Any, ...]) -> None:
     """Leave interrupts to the parent, end when it ends, keep to a share of the processors, and prepare."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

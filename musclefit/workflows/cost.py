@@ -1,0 +1,208 @@
+"""How much time and memory a case takes, from its sizes: a model fitted to measured cases, before any work is done."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+
+from musclefit.errors import InputError
+
+MODEL_FILE = Path(__file__).with_name("cost_model.json")
+"""Coefficients that came of `examples/cost_model.py`."""
+
+STEP_TERMS = ("1", "vertices", "vertices x landmarks", "landmarks²", "tissues²")
+"""What the CPU seconds of a frame are a sum of, with coefficients that are not negative."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """What time and memory of a case depend on.
+
+    Parameters
+    ----------
+    vertices, tissues, landmarks : float
+        Of the anatomy, and of what drives it.
+    frames : float
+        1 for a single run.
+    rigid, tets : bool
+        Whether bones are held rigid, and tetrahedra made.
+    """
+
+    vertices: float
+    tissues: float
+    landmarks: float
+    frames: float = 1
+    rigid: bool = False
+    tets: bool = False
+
+    @property
+    def kind(self) -> str:
+        """What is not told apart by numbers: each kind has coefficients of its own."""
+        return ("rigid bones" if self.rigid else "free bones") + (", tetrahedra" if self.tets else "")
+
+    def terms(self) -> tuple[float, ...]:
+        """The terms of a frame's CPU seconds, as in ``STEP_TERMS``: thousands of vertices, hundreds of landmarks."""
+        v, m, t = self.vertices / 1e3, self.landmarks / 1e2, self.tissues / 10.0
+        return 1.0, v, v * m, m * m, t * t
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A case whose cost is known."""
+
+    sizes: Sizes
+    cpu_s: float
+    peak_mb: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CostModel:
+    """Coefficients by kind: of a frame's CPU seconds, and of the peak memory of a process.
+
+    Parameters
+    ----------
+    cpu_s : mapping of kind to five numbers
+        Per term of ``STEP_TERMS``.
+    peak_mb : mapping of kind to two numbers
+        The memory of the process itself, and that per thousand vertices, MB.
+    error_percent : mapping of kind to number
+        The largest error of the CPU seconds on the cases that the coefficients were fitted to.
+    """
+
+    cpu_s: Mapping[str, tuple[float, ...]]
+    peak_mb: Mapping[str, tuple[float, ...]]
+    error_percent: Mapping[str, float]
+
+    @classmethod
+    def fitted(cls, cases: Sequence[Measured]) -> CostModel:
+        """The model nearest to measured cases, by least squares of relative errors with no coefficient below zero.
+
+        Raises
+        ------
+        InputError
+            No case, or one that took no time.
+        """
+        if not cases or min(case.cpu_s for case in cases) <= 0:
+            raise InputError("a cost model needs measured cases, each with CPU seconds above 0; measure some")
+        cpu, peak, error = {}, {}, {}
+        for kind in dict.fromkeys(case.sizes.kind for case in cases):
+            own = [case for case in cases if case.sizes.kind == kind]
+            told = np.array([case.cpu_s for case in own])
+            terms = np.array([case.sizes.terms() for case in own]) * np.array([[case.sizes.frames] for case in own])
+            cpu[kind] = tuple(float(x) for x in nnls(terms / told[:, None], np.ones(len(own)))[0])
+            error[kind] = float(100.0 * np.abs(terms @ np.array(cpu[kind]) / told - 1.0).max())
+            known = [case for case in own if case.peak_mb]
+            if known:
+                told = np.array([case.peak_mb for case in known], dtype=float)
+                terms = np.array([[1.0, case.sizes.vertices / 1e3] for case in known])
+                peak[kind] = tuple(float(x) for x in nnls(terms / told[:, None], np.ones(len(known)))[0])
+        return cls(cpu, peak, error)
+
+    @classmethod
+    def shipped(cls) -> CostModel:
+        """The coefficients that come along."""
+        read = json.loads(MODEL_FILE.read_text(encoding="utf-8"))
+        return cls(**{name: read[name] for name in ("cpu_s", "peak_mb", "error_percent")})
+
+    def case_cpu_s(self, sizes: Sizes) -> float:
+        """CPU seconds of a case; those of the nearest kind that was measured where its own was not."""
+        own = self.cpu_s.get(sizes.kind) or next(iter(self.cpu_s.values()))
+        return float(np.dot(own, sizes.terms())) * sizes.frames
+
+    def case_peak_mb(self, sizes: Sizes) -> float:
+        """Peak memory of a process that runs the case, MB."""
+        own = self.peak_mb.get(sizes.kind) or max(self.peak_mb.values())
+        return float(own[0] + own[1] * sizes.vertices / 1e3)
+
+    def text(self) -> str:
+        """The coefficients as a file holds them."""
+        merged: dict[str, dict[str, object]] = {"cpu_s": {}, "peak_mb": {}, "error_percent": {}}
+        for name, table in asdict(self).items():
+            for kind, value in table.items():
+                merged[name][kind] = [float(f"{x:.3g}") for x in value] if name != "error_percent" else round(value, 1)
+        return json.dumps({"terms": STEP_TERMS, **merged}, indent=1, ensure_ascii=False) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What is left of a study.
+
+    Parameters
+    ----------
+    cases, measured : int
+        Left to make, and already made, by which the forecast is scaled where there are any.
+    cpu_s : float
+    workers : int
+    peak_mb : float
+        Of one worker.
+    available_mb : float or None
+        None where the system does not tell.
+    limited : bool
+        Whether memory allows fewer workers than were asked for.
+    """
+
+    cases: int
+    measured: int
+    cpu_s: float
+    workers: int
+    peak_mb: float
+    available_mb: float | None
+    limited: bool
+
+    @property
+    def wall_s(self) -> float:
+        """Seconds until the end, when every worker has a processor for itself."""
+        return self.cpu_s / max(1, self.workers)
+
+    @property
+    def in_words(self) -> str:
+        """The forecast in a line or two."""
+        by = f"scaled by {self.measured} made before" if self.measured else "by the model that comes along"
+        workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
+        said = (
+            f"{self.cases} cases left: about {_time(self.cpu_s)} of CPU ({by}), {_time(self.wall_s)} with {workers}; "
+            f"about {self.peak_mb:.0f} MB each"
+        )
+        if self.available_mb is not None:
+            said += f" of {self.available_mb:.0f} MB available"
+        if self.limited:
+            said += "; memory allows no more workers"
+        if self.available_mb is not None and self.peak_mb > self.available_mb:
+            said += "; one case may need more memory than there is"
+        return said
+
+
+def workers_that_fit(wanted: int, *, peak_mb: float, available_mb: float | None) -> int:
+    """How many of the wanted workers memory allows, nine tenths of it used; at least one."""
+    if available_mb is None or wanted <= 1:
+        return wanted
+    return max(1, min(wanted, int(0.9 * available_mb / peak_mb)))
+
+
+def available_mb() -> float | None:
+    """Memory that processes can still take, MB (10⁶ bytes), with the limit of a control group; None where unknown."""
+    if sys.platform != "linux":
+        return None
+    try:
+        lines = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
+        free = float(lines["MemAvailable"].split()[0]) * 1.024e-3
+    except (OSError, KeyError, ValueError, IndexError):
+        return None
+    try:
+        limit = float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
+        used = float(Path("/sys/fs/cgroup/memory.current").read_text(encoding="ascii"))
+        return min(free, (limit - used) * 1e-6)
+    except (OSError, ValueError):  # no such group, or no limit: "max"
+        return free
+
+
+def _time(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,88 @@
+"""The cost model: gives back what it was made of, forecasts, and keeps workers within memory."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies import write_study
+
+from musclefit.errors import InputError
+from musclefit.io.case_folders import CaseCost, CaseOutcome, write_case
+from musclefit.io.studies import read_study
+from musclefit.workflows.batch import forecast
+from musclefit.workflows.cost import CostModel, Forecast, Measured, Sizes, workers_that_fit
+
+COEFFICIENTS = (0.3, 0.02, 0.05, 0.4, 0.1)
+
+
+def seconds(sizes: Sizes) -> float:
+    """The law that cases of these tests obey, written out."""
+    v, m, t = sizes.vertices / 1000, sizes.landmarks / 100, sizes.tissues / 10
+    a, b, c, d, e = COEFFICIENTS
+    return sizes.frames * (a + b * v + c * v * m + d * m**2 + e * t**2)
+
+
+def cases() -> list[Sizes]:
+    rng = np.random.default_rng(4)
+    drawn = rng.uniform([500, 3, 10, 1], [50_000, 70, 300, 40], size=(40, 4))
+    return [Sizes(v, t, m, round(f)) for v, t, m, f in drawn]
+
+
+def test_a_fit_gives_back_the_law_that_made_its_cases() -> None:
+    model = CostModel.fitted([Measured(s, seconds(s), 300 + 2 * s.vertices / 1000) for s in cases()])
+    np.testing.assert_allclose(model.cpu_s["free bones"], COEFFICIENTS, rtol=1e-6, atol=0)
+    np.testing.assert_allclose(model.peak_mb["free bones"], (300, 2), rtol=1e-6, atol=0)
+    assert model.error_percent["free bones"] < 1e-4
+    assert model.case_cpu_s(Sizes(10_000, 20, 100, 3)) == pytest.approx(seconds(Sizes(10_000, 20, 100, 3)), rel=1e-6)
+
+
+def test_noise_of_ten_percent_stays_within_twenty_five() -> None:
+    rng = np.random.default_rng(7)
+    model = CostModel.fitted([Measured(s, seconds(s) * rng.uniform(0.9, 1.1)) for s in cases()])
+    assert max(abs(model.case_cpu_s(s) / seconds(s) - 1) for s in cases()) < 0.25
+
+
+def test_nothing_cannot_be_fitted() -> None:
+    with pytest.raises(InputError, match="measure some"):
+        CostModel.fitted([])
+
+
+def test_the_coefficients_that_come_along_are_positive_and_of_both_kinds() -> None:
+    model = CostModel.shipped()
+    assert {"free bones", "rigid bones"} <= model.cpu_s.keys() & model.peak_mb.keys()
+    for kind in model.cpu_s:
+        assert min(model.cpu_s[kind]) >= 0 < sum(model.cpu_s[kind])
+        assert model.peak_mb[kind][0] > 50
+
+
+@pytest.mark.parametrize(("wanted", "peak", "free", "got"), [(8, 500, 2300, 4), (8, 500, None, 8), (3, 9000, 500, 1)])
+def test_workers_keep_within_memory(wanted: int, peak: float, free: float | None, got: int) -> None:
+    assert workers_that_fit(wanted, peak_mb=peak, available_mb=free) == got
+
+
+def test_a_forecast_says_what_limits_it() -> None:
+    said = Forecast(10, 0, 7200.0, 2, 900.0, 2000.0, limited=True).in_words
+    assert "10 cases left: about 2.0 h of CPU" in said
+    assert "60 min with 2 workers" in said
+    assert "memory allows no more workers" in said
+    assert "more memory than there is" in Forecast(1, 0, 1.0, 1, 900.0, 500.0, limited=False).in_words
+
+
+def test_what_was_measured_before_scales_what_is_left(tmp_path: Path) -> None:
+    study, out = write_study(tmp_path, range(5, 25)), tmp_path / "out"
+    fresh = forecast(study, out=out)
+    assert fresh is not None
+    assert (fresh.cases, fresh.measured) == (20, 0)
+    sizes = Sizes(648, 4, 12, 1, rigid=False)
+    per_case = CostModel.shipped().case_cpu_s(sizes)
+    for case, factor in zip(read_study(study).cases[:3], (2.0, 3.0, 40.0), strict=True):
+        write_case(out, CaseOutcome.of(case, "passed"), CaseCost(factor * per_case, 1.0, 300.0, asdict(sizes)))
+    told = forecast(study, out=out)
+    assert told is not None
+    assert told.measured == 3
+    assert told.cpu_s == pytest.approx(3.0 * fresh.cpu_s / 20 * told.cases, rel=1e-9)
+    json.dumps(asdict(told), allow_nan=False)

@@ -20,8 +20,9 @@ from rich.console import Console
 from musclefit._version import __version__
 from musclefit.anatomy.model import TissueKind
 from musclefit.cli.architecture import architecture
-from musclefit.cli.batch import batch, collect
+from musclefit.cli.batch import batch
 from musclefit.cli.cage import cage
+from musclefit.cli.collect import collect
 from musclefit.cli.export import export
 from musclefit.cli.export_osim import export_osim
 from musclefit.cli.febio_model import febio_model

@@ -13,7 +13,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from musclefit.report.html import render_page
-from musclefit.report.model import SCHEMA_VERSION
 
 OUTLIER_SCORE, OUTLIERS_FROM = 3.5, 8
 """Modified z-score beyond which a value is an outlier, and how many values of a measure it takes to say so."""
@@ -154,7 +153,6 @@ def render_cohort(
         {
             "report": {"title": title},
             "verdict": "passed" if passed else "failed",
-            "schema_version": SCHEMA_VERSION,
             "counts": counts.most_common(),
             "cases": len(outcomes),
             "subjects": len({outcome.subject for outcome in outcomes}),

@@ -21,16 +21,17 @@ from musclefit.io.case_folders import (
     read_case,
     read_cost,
 )
+from musclefit.io.folder_locks import held
 from musclefit.io.rigs import read_rig
 from musclefit.io.studies import Case, FileHashes, Study, input_files, inputs_of, read_study
 from musclefit.progress import Progress
 from musclefit.workflows.batch_slurm import write_slurm
 from musclefit.workflows.batch_tasks import died, make, make_case, prepare, sizes_of
-from musclefit.workflows.collect import Cohort, collect, write_study_json
+from musclefit.workflows.collect import Cohort, collect, require_pyarrow, require_study_folder, write_study_json
 from musclefit.workflows.cost import CostModel, Forecast, Sizes, available_mb, workers_that_fit
 from musclefit.workflows.progress import TimedStages, watched
 from musclefit.workflows.sequence import planned
-from musclefit.workflows.worker_pool import Crew, Died
+from musclefit.workflows.worker_pool import Died, Pool
 
 ATTEMPTS = 3
 """How often a case is tried whose process ends without a word."""
@@ -76,23 +77,27 @@ def batch(
     Raises
     ------
     RigError, InputError
-        A study that cannot be read, a folder that holds something else, or a scheduler that does not answer.
+        A study that cannot be read, a folder that holds something else or that another `batch` works on, or a
+        scheduler that does not answer.
     """
     if workers < 0:
         raise InputError(f"found {workers} workers; expected at least 1, or 0 for this process")
     read, folder = read_study(study), Path(out).absolute()
     if only:
         case = read.case(only)
+        require_study_folder(folder)
         outcome = make_case(read, case, folder, hashes=FileHashes())
         return Cohort(read.title, (outcome,), folder)
-    write_study_json(read, folder)
-    with watched(progress) as stages:
+    if parquet:
+        require_pyarrow()
+    require_study_folder(folder)
+    with held(folder), watched(progress) as stages:
+        write_study_json(read, folder)
         left = _left(read, folder, stages)
         if left:
             forecast = forecast_of(read, folder, left, workers=workers)
-            if forecast is not None:
-                stages.say(forecast.in_words)
-                workers = forecast.workers if workers and not scheduler else workers
+            stages.say(forecast.in_words)
+            workers = forecast.workers if workers and not scheduler else workers
             backend = partial(_on_dask, scheduler) if scheduler else _on_processes
             _run(read, len(left), backend(read, folder, left, workers), stages)
         with stages.stage("tables and page"):
@@ -103,7 +108,7 @@ def batch(
     return cohort
 
 
-def forecast(study: str | Path, *, out: str | Path, workers: int = 0) -> Forecast | None:
+def forecast(study: str | Path, *, out: str | Path, workers: int = 0) -> Forecast:
     """What is left of a study, and how long it will take; nothing is run and nothing written.
 
     Parameters
@@ -113,8 +118,7 @@ def forecast(study: str | Path, *, out: str | Path, workers: int = 0) -> Forecas
 
     Returns
     -------
-    Forecast or None
-        None where no first case of any rig can be read.
+    Forecast
 
     Raises
     ------
@@ -146,12 +150,13 @@ def slurm(study: str | Path, *, out: str | Path) -> Path:
         As `batch`.
     """
     read, folder = read_study(study), Path(out).absolute()
+    require_study_folder(folder)
     write_study_json(read, folder)
     expected = forecast_of(read, folder, list(range(len(read.cases))), workers=1)
     return write_slurm(read, folder, expected)
 
 
-def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Forecast | None:
+def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Forecast:
     """The forecast of some cases: the model's, times how far it was off for the cases made before.
 
     The first case of each rig and motion is read; the others are taken to have as many more or fewer vertices as their
@@ -176,9 +181,7 @@ def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Fo
         measured += len(ratios)
         total += scale * sum(map(model.case_cpu_s, own))
         peak = max(peak, *map(model.case_peak_mb, own))
-    if not total:
-        return None
-    free, wanted = available_mb(), min(max(1, workers), len(left))
+    free, wanted = available_mb(), max(1, min(workers, len(left)))
     fitting = workers_that_fit(wanted, peak_mb=peak, available_mb=free)
     return Forecast(len(left), measured, total, fitting, peak, free, limited=fitting < wanted)
 
@@ -248,10 +251,10 @@ def _run(study: Study, left: int, outcomes: Iterator[CaseOutcome], stages: Timed
 def _on_processes(study: Study, out: Path, left: list[int], workers: int) -> Iterator[CaseOutcome]:
     """In processes of this machine; one that ends without a word is replaced, and its case tried again."""
     times: dict[int, int] = {}
-    with Crew(min(workers, len(left)), prepare=prepare, given=(study, out)) as crew:
+    with Pool(min(workers, len(left)), prepare=prepare, given=(study, out)) as pool:
         while left:
             again = []
-            for number, result in crew.run(make, left):
+            for number, result in pool.run_all(make, left):
                 if not isinstance(result, Died):
                     yield result
                     continue

@@ -10,7 +10,7 @@ from threading import Lock
 from musclefit.errors import InputError
 from musclefit.io.case_folders import CaseOutcome
 from musclefit.io.studies import FileHashes, Study
-from musclefit.workflows.batch_tasks import died, make_case
+from musclefit.workflows.batch_tasks import broke_off, died, make_case
 
 ATTEMPTS = 3
 """How often a case is tried whose worker ends without a word."""
@@ -50,6 +50,9 @@ def outcomes_on_dask(address: str, study: Study, out: Path, left: list[int]) -> 
                 yield future.result()
             except KilledWorker:
                 yield died(study, number, out, times=ATTEMPTS)
+            except Exception as error:  # a worker without musclefit, a scheduler that is gone: told, the rest goes on
+                said = f"the Dask cluster could not run it: {type(error).__name__}: {error}"
+                yield broke_off(study.cases[number], out, reason=said)
             future.release()
 
 

@@ -13,20 +13,18 @@ from musclefit.workflows.worker_pool import PINNED
 
 SCRIPT, CASES, LOGS = "slurm.sh", "cases.txt", "logs"
 
-_LEAST_MB, _LEAST_MINUTES, _SPARE = 2000, 30, 3.0
+_LEAST_MB, _LEAST_MINUTES, _SPARE_MB, _SPARE_TIME = 2000, 30, 1.5, 3.0
 """What a task asks for at least, and by how much more than the forecast."""
 
 
-def write_slurm(study: Study, out: Path, expected: Forecast | None) -> Path:
+def write_slurm(study: Study, out: Path, expected: Forecast) -> Path:
     """Write the script and the list of cases that it reads; a case per line, a line per task.
 
     Each task's command may be run again at any time: a case that is done is kept. The paths of study and results are
     absolute, so that the script may be started anywhere.
     """
-    mb, minutes = _LEAST_MB, _LEAST_MINUTES
-    if expected is not None:
-        mb = max(mb, math.ceil(_SPARE / 2.0 * expected.peak_mb))
-        minutes = max(minutes, math.ceil(_SPARE * expected.cpu_s / max(1, expected.cases) / 60.0))
+    mb = max(_LEAST_MB, math.ceil(_SPARE_MB * expected.peak_mb))
+    minutes = max(_LEAST_MINUTES, math.ceil(_SPARE_TIME * expected.cpu_s / max(1, expected.cases) / 60.0))
     (out / LOGS).mkdir(parents=True, exist_ok=True)
     write_atomically(out / CASES, "".join(f"{case.name}\n" for case in study.cases))
     study_file, cases = study.source.absolute(), out / CASES

@@ -7,7 +7,8 @@ import math
 import shutil
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from musclefit.io.case_folders import (
     read_case,
     write_case,
 )
+from musclefit.io.folder_locks import held
 from musclefit.io.provenance import peak_memory_mb
 from musclefit.io.studies import Case, FileHashes, Study, inputs_of
 from musclefit.progress import Silent
@@ -37,6 +39,9 @@ from musclefit.rig.job import Job
 from musclefit.validate.model import Check
 
 TRACEBACK = "traceback.txt"
+
+WAIT_S = 0.2
+"""Between two looks at whether another process is done with a case."""
 
 _here: list[tuple[Study, Path, FileHashes]] = []
 """What this process was prepared for; a worker serves one study."""
@@ -56,11 +61,31 @@ def make(number: int) -> CaseOutcome:
 def make_case(study: Study, case: Case, out: Path, *, hashes: FileHashes) -> CaseOutcome:
     """Make one case and write its folder, unless it is there already, made of the same input.
 
+    While another process makes the case, as one whose own study was killed may, this waits and takes what that made.
+
     Returns
     -------
     CaseOutcome
         Also of a case that failed, whatever made it fail; only what ends a process is not caught.
     """
+    with _held_once_free(case_folder(out, case.name)):
+        return _made_unless_done(study, case, out, hashes)
+
+
+@contextmanager
+def _held_once_free(folder: Path) -> Iterator[None]:
+    """Hold the folder of a case until the block ends, as soon as no other process holds it."""
+    with ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(held(folder))
+                break
+            except InputError:  # that it is being written by another process
+                time.sleep(WAIT_S)
+        yield
+
+
+def _made_unless_done(study: Study, case: Case, out: Path, hashes: FileHashes) -> CaseOutcome:
     start, cpu = time.perf_counter(), time.process_time()
     folder = case_folder(out, case.name)
     inputs: Mapping[str, str] = {}
@@ -96,11 +121,17 @@ def make_case(study: Study, case: Case, out: Path, *, hashes: FileHashes) -> Cas
 
 def died(study: Study, number: int, out: Path, *, times: int) -> CaseOutcome:
     """The outcome of a case whose process ended without a word, written."""
-    reason = (
-        f"its process ended {times} times without a word, as when memory runs out; run it by itself, or with fewer "
-        "workers"
+    return broke_off(
+        study.cases[number],
+        out,
+        reason=f"its process ended {times} times without a word, as when memory runs out; run it by itself, or with "
+        "fewer workers",
     )
-    outcome = CaseOutcome.of(study.cases[number], BROKE_OFF, reason=reason)
+
+
+def broke_off(case: Case, out: Path, *, reason: str) -> CaseOutcome:
+    """The outcome of a case of which no process could tell, written."""
+    outcome = CaseOutcome.of(case, BROKE_OFF, reason=reason)
     write_case(out, outcome, CaseCost(None, None, None))
     return outcome
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically, write_bytes_atomically
-from musclefit.io.case_folders import MISSING, PASSED, RESULT, CaseOutcome, case_folder, read_case, read_cost
+from musclefit.io.case_folders import MISSING, PASSED, RESULT, SUBJECTS, CaseOutcome, case_folder, read_case, read_cost
 from musclefit.io.run_folder import PICTURES, REPORT_HTML
 from musclefit.io.studies import Study
 from musclefit.report.cohort import Outlier, cohort_rows, csv_text, outliers, render_cohort
@@ -56,6 +56,16 @@ class Cohort(Shown):
         said = ", ".join(f"{count} {status}" for status, count in counts)
         return f"{self.title}: {len(self.outcomes)} cases: {said}; in {self.folder}"
 
+    def to_json(self) -> dict[str, Any]:
+        """Title, folder, a row per case and the outliers, for programs."""
+        return {
+            "title": self.title,
+            "folder": str(self.folder),
+            "passed": self.passed,
+            "cases": cohort_rows(self.outcomes),
+            "outliers": [asdict(outlier) for outlier in self.outliers],
+        }
+
     def tables(self) -> Mapping[str, Iterable[Any]]:
         """Outcomes and outliers."""
         return {"outcomes": cohort_rows(self.outcomes), "outliers": self.outliers}
@@ -83,7 +93,7 @@ def collect(folder: str | Path, *, parquet: bool = False) -> Cohort:
     """
     out = Path(folder)
     if parquet:
-        _pyarrow()
+        require_pyarrow()
     title, told = _read_study_json(out)
     outcomes = tuple(
         read_case(out, case["name"]) or CaseOutcome(**case, status=MISSING, reason="it was not run, or not to its end")
@@ -114,18 +124,17 @@ def collect(folder: str | Path, *, parquet: bool = False) -> Cohort:
     return Cohort(title, outcomes, out)
 
 
-def write_study_json(study: Study, out: Path) -> None:
-    """Write what `collect` needs to know of a study.
-
-    Raises
-    ------
-    InputError
-        The folder holds something else than a study.
-    """
+def require_study_folder(out: Path) -> None:
+    """Raise InputError, before long work, where a folder holds something else than a study or cases of one."""
     if out.exists() and not out.is_dir():
         raise InputError(f"the output folder {out} is a file; name a folder that does not exist yet")
-    if out.is_dir() and any(out.iterdir()) and not (out / STUDY_JSON).is_file():
+    there = {place.name for place in out.iterdir()} if out.is_dir() else set()
+    if STUDY_JSON not in there and there - {SUBJECTS}:
         raise InputError(f"{out} holds no {STUDY_JSON} of a study; name a new folder, or that of a study")
+
+
+def write_study_json(study: Study, out: Path) -> None:
+    """Write what `collect` needs to know of a study."""
     cases = [
         {"name": c.name, "subject": c.subject, "rig": c.rig, "motion": c.motion, "facts": dict(c.facts)}
         for c in study.cases
@@ -142,7 +151,7 @@ def parquet_bytes(rows: list[dict[str, Any]]) -> bytes:
     InputError
         pyarrow is not installed.
     """
-    pyarrow = _pyarrow()
+    pyarrow = require_pyarrow()
     from pyarrow import parquet
 
     columns = {}
@@ -159,7 +168,8 @@ def parquet_bytes(rows: list[dict[str, Any]]) -> bytes:
     return data.getvalue()
 
 
-def _pyarrow() -> Any:
+def require_pyarrow() -> Any:
+    """pyarrow, or InputError where it is not installed."""
     try:
         import pyarrow
     except ImportError:
@@ -176,7 +186,9 @@ def _read_study_json(out: Path) -> tuple[str, list[dict[str, Any]]]:
         read = json.loads((out / STUDY_JSON).read_text(encoding="utf-8"))
         return read["title"], read["cases"]
     except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{out} holds no {STUDY_JSON} ; give the folder that musclefit batch wrote") from None
+        raise InputError(
+            f"{out} holds no {STUDY_JSON} of a study; give the folder that musclefit batch wrote"
+        ) from None
 
 
 def _thumbnail(pictures: Path) -> bytes | None:

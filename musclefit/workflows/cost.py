@@ -138,9 +138,10 @@ class Forecast:
     cases, measured : int
         Left to make, and already made, by which the forecast is scaled where there are any.
     cpu_s : float
+        0 where no case could be read that the others could be judged by.
     workers : int
     peak_mb : float
-        Of one worker.
+        Of one worker; 0 as ``cpu_s``.
     available_mb : float or None
         None where the system does not tell.
     limited : bool
@@ -163,6 +164,10 @@ class Forecast:
     @property
     def in_words(self) -> str:
         """The forecast in a line or two."""
+        if not self.cases:
+            return "nothing is left to do"
+        if not self.cpu_s:
+            return f"{self.cases} cases left; none of the first of each rig can be read, so that there is no forecast"
         by = f"scaled by {self.measured} made before" if self.measured else "by the model that comes along"
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
         said = (
@@ -180,7 +185,7 @@ class Forecast:
 
 def workers_that_fit(wanted: int, *, peak_mb: float, available_mb: float | None) -> int:
     """How many of the wanted workers memory allows, nine tenths of it used; at least one."""
-    if available_mb is None or wanted <= 1:
+    if available_mb is None or not peak_mb or wanted <= 1:
         return wanted
     return max(1, min(wanted, int(0.9 * available_mb / peak_mb)))
 

@@ -25,8 +25,14 @@ PINNED = (
 """Environment variables that say how many threads numeric libraries use; each is 1 in every worker."""
 
 
+class Died:
+    """In place of a result: the process that worked on it ended without a word."""
+
+
 class Pool:
     """Worker processes, started when first needed and gone when left.
+
+    Each does one task at a time and is a pool of its own, so that one that ends takes no other's work along.
 
     Parameters
     ----------
@@ -39,91 +45,11 @@ class Pool:
 
     def __init__(self, workers: int, *, prepare: Callable[..., None], given: Sequence[Any]) -> None:
         self._workers, self._prepare, self._given = workers, prepare, tuple(given)
-        self._executor: ProcessPoolExecutor | None = None
-        self._before: set[multiprocessing.process.BaseProcess] = set()
-
-    def __enter__(self) -> Pool:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if self._executor is None:
-            return
-        if kind is None:
-            self._executor.shutdown(wait=True)
-            return
-        children = set(multiprocessing.active_children()) - self._before
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        for child in children:
-            child.terminate()
-        for child in children:
-            child.join()
-
-    def run(self, task: Callable[[int], Any], numbers: Sequence[int]) -> Iterator[tuple[int, Any]]:
-        """The results of a task for each number, as they are done.
-
-        Raises
-        ------
-        MusclefitError
-            A worker died, as it does when memory runs out.
-        """
-        if not self._workers:
-            if numbers:
-                self._prepare(*self._given)
-            for number in numbers:
-                yield number, task(number)
-            return
-        with _pinned():
-            if self._executor is None:
-                self._start()
-            assert self._executor is not None
-            waiting: dict[Future[Any], int] = {self._executor.submit(task, number): number for number in numbers}
-            while waiting:
-                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    try:
-                        result = future.result()
-                    except BrokenProcessPool:
-                        raise MusclefitError(
-                            "a worker process ended without a word, as when memory runs out, or when a script starts "
-                            'work outside of if __name__ == "__main__":; what is finished is kept: run it again with '
-                            "fewer workers"
-                        ) from None
-                    yield waiting.pop(future), result
-
-    def _start(self) -> None:
-        self._before = set(multiprocessing.active_children())
-        context = multiprocessing.get_context("spawn")
-        turn = context.Value("i", 0)
-        self._executor = ProcessPoolExecutor(
-            self._workers,
-            mp_context=context,
-            initializer=_begin,
-            initargs=(turn, self._workers, self._prepare, self._given),
-        )
-
-
-class Died:
-    """In place of a result: the process that worked on it ended without a word."""
-
-
-class Crew:
-    """Worker processes of which each does one task at a time, so that one that ends takes no other's work along.
-
-    Parameters
-    ----------
-    workers : int
-        0 runs the tasks in this process.
-    prepare : callable
-        Run once in each worker, with ``given``; it and the tasks must be importable.
-    given : sequence
-    """
-
-    def __init__(self, workers: int, *, prepare: Callable[..., None], given: Sequence[Any]) -> None:
-        self._workers, self._prepare, self._given = workers, prepare, tuple(given)
         self._executors: dict[int, ProcessPoolExecutor] = {}
         self._before: set[multiprocessing.process.BaseProcess] = set()
 
-    def __enter__(self) -> Crew:
+    def __enter__(self) -> Pool:
+        self._before = set(multiprocessing.active_children())
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -137,15 +63,30 @@ class Crew:
                 child.join()
 
     def run(self, task: Callable[[int], Any], numbers: Sequence[int]) -> Iterator[tuple[int, Any]]:
-        """The results of a task for each number, as they are done; `Died` for one whose process ended."""
+        """The results of a task for each number, as they are done.
+
+        Raises
+        ------
+        MusclefitError
+            A worker died, as it does when memory runs out.
+        """
+        for number, result in self.run_all(task, numbers):
+            if isinstance(result, Died):
+                raise MusclefitError(
+                    "a worker process ended without a word, as when memory runs out, or when a script starts "
+                    'work outside of if __name__ == "__main__":; what is finished is kept: run it again with '
+                    "fewer workers"
+                )
+            yield number, result
+
+    def run_all(self, task: Callable[[int], Any], numbers: Sequence[int]) -> Iterator[tuple[int, Any]]:
+        """As `run`, but a worker that dies is replaced, and the number that it worked on comes with `Died`."""
         if not self._workers:
             if numbers:
                 self._prepare(*self._given)
             for number in numbers:
                 yield number, task(number)
             return
-        if not self._executors:
-            self._before = set(multiprocessing.active_children())
         left, waiting = list(reversed(numbers)), dict[Future[Any], tuple[int, int]]()
         with _pinned():
             for slot in range(min(self._workers, len(left))):
@@ -167,12 +108,11 @@ class Crew:
 
     def _submit(self, slot: int, task: Callable[[int], Any], number: int) -> Future[Any]:
         if slot not in self._executors:
-            context = multiprocessing.get_context("spawn")
             self._executors[slot] = ProcessPoolExecutor(
                 1,
-                mp_context=context,
+                mp_context=multiprocessing.get_context("spawn"),
                 initializer=_begin,
-                initargs=(context.Value("i", slot), self._workers, self._prepare, self._given),
+                initargs=(slot, self._workers, self._prepare, self._given),
             )
         try:
             return self._executors[slot].submit(task, number)
@@ -181,17 +121,15 @@ class Crew:
             return self._submit(slot, task, number)
 
 
-def _begin(turn: Any, workers: int, prepare: Callable[..., None], given: tuple[Any, ...]) -> None:
+def _begin(slot: int, workers: int, prepare: Callable[..., None], given: tuple[Any, ...]) -> None:
     """Leave interrupts to the parent, end when it ends, keep to a share of the processors, and prepare."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with turn.get_lock():
-        number, turn.value = turn.value, turn.value + 1
     if hasattr(os, "sched_setaffinity"):  # booleans use all processors they may run on, whatever the environment says
         mine = sorted(os.sched_getaffinity(0))
         share = len(mine) // workers
         if share:
-            os.sched_setaffinity(0, mine[number % workers :: workers][:share])
+            os.sched_setaffinity(0, mine[slot::workers][:share])
     prepare(*given)
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import os
+from contextlib import ExitStack
 from html.parser import HTMLParser
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from tiny_rigs import TISSUES, write_tiny_rig
 from musclefit.cli import main
 from musclefit.errors import InputError, RigError
 from musclefit.io.case_folders import case_folder
+from musclefit.io.folder_locks import held
 from musclefit.io.run_folder import ply_bytes
 from musclefit.io.studies import FileHashes, inputs_of, read_study
 from musclefit.progress import Silent
@@ -158,6 +161,26 @@ def test_tables_that_cannot_be_read_say_why(tmp_path: Path, table: str, said: st
         read_study(study)
 
 
+def test_one_study_at_a_time_writes_into_a_folder_and_one_process_at_a_time_into_a_case(tmp_path: Path) -> None:
+    study, out = write_study(tmp_path, [5]), tmp_path / "out"
+    with held(out.absolute()), pytest.raises(InputError, match="is being written by another process"):
+        batch(study, out=out, progress=Silent())
+    assert not (out / "study.json").exists()
+    with ExitStack() as elsewhere:
+        elsewhere.enter_context(held(case_folder(out.absolute(), "s00/bent")))
+        thread = Thread(target=batch, args=(study,), kwargs={"out": out, "only": "s00/bent", "progress": Silent()})
+        thread.start()
+        thread.join(1.5)
+        assert thread.is_alive(), "it waits for the other"
+        assert not list(out.glob("subjects/*/*/case.json"))
+    thread.join(60.0)
+    assert collect_after(study, out) == ["passed"]
+
+
+def collect_after(study: Path, out: Path) -> list[str]:
+    return [outcome.status for outcome in batch(study, out=out, progress=Silent()).outcomes]
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     study = write_study(tmp_path, [5])
     (tmp_path / "other").mkdir()
@@ -175,6 +198,12 @@ def test_commands_tell_and_give_exit_codes(tmp_path: Path, capsys: pytest.Captur
     assert not out.exists()
     assert main(["batch", str(study), "--out", str(out), "--slurm", "--quiet"]) == 0
     assert main(["batch", str(study), "--out", str(out), "--only", "s00/bent", "--quiet"]) == 0
+    assert main(["collect", str(out), "--json"]) == 1
+    assert main(["batch", str(study), "--out", str(out), "--estimate", "--json"]) == 0
+    decoder, text = json.JSONDecoder(), capsys.readouterr().out.lstrip()
+    collected, end = decoder.raw_decode(text[text.index("{") :])
+    assert [case["status"] for case in collected["cases"]] == ["passed", "not run"]
+    assert json.loads(text[text.index("{") :][end:])["cases"] == 1
     assert main(["collect", str(out), "--parquet"]) == 1
     said = capsys.readouterr().out
     assert "1 passed, 1 not run" in said
@@ -231,10 +260,14 @@ def test_hostile_names_do_no_harm_in_page_and_table() -> None:
     name = "<script>alert(1)</script>\" onmouseover='x' {{7*7}} =cmd()"
     outcome = _Outcome(name, 1.0, subject=f"={name}", reason=name, fact="x")
     page = render_cohort(name, [outcome], thumbnails={name: b"jpeg"}, links={name: "subjects/a/report.html"})
-    tags = _Tags()
+    tags, harmless = _Tags(), _Tags()
     tags.feed(page)
-    assert (tags.scripts, tags.handlers, tags.images) == (1, 0, 1)
-    assert sorted(tags.addresses) == ["data:image/jpeg;base64,anBlZw==", "subjects/a/report.html"]
+    harmless.feed(render_cohort("a", [_Outcome("a", 1.0)], thumbnails={}, links={}))
+    assert (tags.scripts, tags.handlers, tags.images) == (harmless.scripts, 0, 1)
+    assert sorted(address for address in tags.addresses if not address.startswith("#")) == [
+        "data:image/jpeg;base64,anBlZw==",
+        "subjects/a/report.html",
+    ]
     assert "{{7*7}}" in page
     rows = cohort_rows([outcome])
     assert rows[0]["status"] == "input refused"

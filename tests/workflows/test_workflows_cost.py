@@ -75,14 +75,12 @@ def test_a_forecast_says_what_limits_it() -> None:
 def test_what_was_measured_before_scales_what_is_left(tmp_path: Path) -> None:
     study, out = write_study(tmp_path, range(5, 25)), tmp_path / "out"
     fresh = forecast(study, out=out)
-    assert fresh is not None
     assert (fresh.cases, fresh.measured) == (20, 0)
     sizes = Sizes(648, 4, 12, 1, rigid=False)
     per_case = CostModel.shipped().case_cpu_s(sizes)
     for case, factor in zip(read_study(study).cases[:3], (2.0, 3.0, 40.0), strict=True):
         write_case(out, CaseOutcome.of(case, "passed"), CaseCost(factor * per_case, 1.0, 300.0, asdict(sizes)))
     told = forecast(study, out=out)
-    assert told is not None
     assert told.measured == 3
     assert told.cpu_s == pytest.approx(3.0 * fresh.cpu_s / 20 * told.cases, rel=1e-9)
     json.dumps(asdict(told), allow_nan=False)

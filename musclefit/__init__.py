@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.cage import cage
     from musclefit.workflows.check import check
     from musclefit.workflows.collect import collect
+    from musclefit.workflows.compare import compare
     from musclefit.workflows.export import export
     from musclefit.workflows.export_osim import export_osim
     from musclefit.workflows.febio_model import febio_model
@@ -81,6 +82,7 @@ _HOMES = {
     "cage": "workflows.cage",
     "check": "workflows.check",
     "collect": "workflows.collect",
+    "compare": "workflows.compare",
     "export": "workflows.export",
     "export_osim": "workflows.export_osim",
     "febio_model": "workflows.febio_model",
@@ -140,6 +142,7 @@ __all__ = [
     "cage",
     "check",
     "collect",
+    "compare",
     "export",
     "export_osim",
     "febio_model",

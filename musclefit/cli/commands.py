@@ -23,6 +23,7 @@ from musclefit.cli.architecture import architecture
 from musclefit.cli.batch import batch
 from musclefit.cli.cage import cage
 from musclefit.cli.collect import collect
+from musclefit.cli.compare import compare
 from musclefit.cli.export import export
 from musclefit.cli.export_osim import export_osim
 from musclefit.cli.febio_model import febio_model
@@ -223,6 +224,7 @@ app.command(fit_body, name="fit-body", sort_key=4)
 app.command(cage, sort_key=6)
 app.command(batch, sort_key=6)
 app.command(collect, sort_key=6)
+app.command(compare, sort_key=3)
 app.command(rigs, sort_key=8)
 app.command(init, sort_key=8)
 app.command(schema, sort_key=8)

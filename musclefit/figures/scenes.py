@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -64,6 +64,20 @@ def motion_scene(rest: Anatomy, frames: Sequence[tuple[str, float, Anatomy]]) ->
     """
     shapes = [SceneShape("Rest", _surfaces(rest))]
     shapes += [SceneShape(title, _surfaces(anatomy), time_s=time_s) for title, time_s, anatomy in frames]
+    return _scene(rest, shapes, [])
+
+
+def compared_scene(rest: Anatomy, results: Mapping[str, Anatomy]) -> Scene:
+    """The results of several runs, from the anatomy at rest of the first.
+
+    Parameters
+    ----------
+    rest : Anatomy
+    results : mapping of title to anatomy
+        Each of the same tissues.
+    """
+    shapes = [SceneShape("Rest", _surfaces(rest))]
+    shapes += [SceneShape(title, _surfaces(result), (_gaps(result),)) for title, result in results.items()]
     return _scene(rest, shapes, [])
 
 

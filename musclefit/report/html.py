@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -21,6 +21,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, bone_limit, checks_against
+from musclefit.report.run_differences import Differences
 from musclefit.report.scene import Scene, packed, quantum_mm
 from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
 from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
@@ -69,6 +70,29 @@ def render_inspection(report: MeshReport) -> str:
     page["skin"] = any(t.outside_skin_mm3 is not None for t in report.tissues)
     page["pairs"] = sorted(report.overlaps.pairs, key=lambda p: _largest_first(p.rest_mm3))
     return _render("inspection.html.jinja", page)
+
+
+def render_differences(found: Differences, *, links: Sequence[str], scene: Scene | None) -> str:
+    """One page about runs side by side; needs no other file and no network, escapes every name.
+
+    Parameters
+    ----------
+    found : Differences
+    links : sequence of str
+        The address of each run's own page, from this one; "" for none.
+    scene : Scene or None
+    """
+    better = None if found.best is None else found.runs[found.best]
+    page = {
+        "report": {"title": "Runs side by side"},
+        "verdict": "no run is better" if better is None else f"{better} is better",
+        "found": found,
+        "better": better,
+        "letters": found.letters,
+        "links": links,
+        "scene": scene_parts(scene),
+    }
+    return _render("differences.html.jinja", page)
 
 
 def number(value: float | None) -> str:

@@ -1,0 +1,160 @@
+"""Finished runs side by side: read back, held against the first, and written as a page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from musclefit.anatomy.model import Anatomy
+from musclefit.errors import InputError
+from musclefit.figures.scenes import compared_scene
+from musclefit.io.finished_runs import FinishedRun, read_finished_run
+from musclefit.io.run_folder import require_new_folder, write_new_folder
+from musclefit.report.html import render_differences
+from musclefit.report.run_differences import Differences, Values, differences
+from musclefit.report.scene import Scene
+from musclefit.workflows.results import Shown
+
+COMPARISON_HTML, COMPARISON_JSON = "comparison.html", "comparison.json"
+
+
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
+class Comparison(Shown):
+    """Runs side by side.
+
+    Parameters
+    ----------
+    found : Differences
+    folder : Path or None
+        Where it was written.
+    """
+
+    found: Differences
+    folder: Path | None = None
+
+    def said(self) -> str:
+        """Which run is better, and why, in a line."""
+        found = self.found
+        head = "no run is better" if found.best is None else f"{found.runs[found.best]} is better"
+        return f"{', '.join(found.runs)}: {head}: {found.because}"
+
+    def tables(self) -> Mapping[str, Iterable[Any]]:
+        """Settings that differ, measures, tissues and overlapping pairs."""
+        found = self.found
+        return {
+            "settings": found.settings,
+            "measures": found.measures,
+            "tissues": found.tissues,
+            "overlaps": found.pairs,
+        }
+
+
+def compare(runs: Sequence[str | Path], *, out: str | Path | None = None) -> Comparison:
+    """Put finished runs side by side: what was set otherwise, what came out otherwise, and which is better.
+
+    Parameters
+    ----------
+    runs : sequence of path
+        Two folders or more that `musclefit run` wrote; the others are held against the first.
+    out : path, optional
+        New folder for comparison.html and comparison.json.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError, MeshError
+        Fewer than two runs, a folder that holds none, or an output folder that is not empty.
+    """
+    if len(runs) < 2:
+        raise InputError(f"found {len(runs)} run to compare; expected at least 2")
+    if out is not None:
+        require_new_folder(Path(out))
+    read = [read_finished_run(run) for run in runs]
+    names = distinct_names([run.folder for run in read])
+    shapes = [run.surfaces() for run in read]
+    found = differences(
+        {name: run.report for name, run in zip(names, read, strict=True)}, apart_mm=distances_from_first(shapes)
+    )
+    if out is None:
+        return Comparison(found)
+    folder = Path(out)
+    page = render_differences(found, links=_links(read, folder), scene=_scene(names, shapes))
+    text = json.dumps(found.to_json(), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    write_new_folder(
+        folder,
+        {
+            COMPARISON_HTML: page.encode("utf-8", "backslashreplace"),
+            COMPARISON_JSON: text.encode("utf-8", "backslashreplace"),
+        },
+    )
+    return Comparison(found, folder)
+
+
+def distinct_names(folders: Sequence[Path]) -> list[str]:
+    """The shortest ends of paths that tell folders apart; a folder given twice has a number behind.
+
+    >>> distinct_names([Path("/a/left/out"), Path("/a/right/out")])
+    ['left/out', 'right/out']
+    """
+    whole = [folder.resolve().parts for folder in folders]
+    for count in range(1, max(map(len, whole)) + 1):
+        names = ["/".join(parts[-count:]) for parts in whole]
+        if len(set(names)) == len(set(whole)):
+            break
+    return [name if names.count(name) == 1 else f"{name} ({k + 1})" for k, name in enumerate(names)]
+
+
+def distances_from_first(shapes: Sequence[tuple[Anatomy, Anatomy]]) -> dict[str, Values]:
+    """How far each tissue of each run lies at most from where the first run takes it, mm, by tissue.
+
+    Compared are the vertices that both have from the start: refined surfaces keep the given ones first. None where
+    a run lacks the tissue, or has another one under its name.
+
+    Parameters
+    ----------
+    shapes : sequence of (rest, deformed)
+    """
+    rests = [{tissue.name: tissue.surface.vertices for tissue in rest} for rest, _ in shapes]
+    moved = [{tissue.name: tissue.surface.vertices for tissue in deformed} for _, deformed in shapes]
+    return {
+        name: tuple(
+            _farthest(rests[0][name], moved[0][name], rests[k][name], moved[k][name]) if name in rests[k] else None
+            for k in range(len(shapes))
+        )
+        for name in rests[0]
+    }
+
+
+def _farthest(rest: Any, moved: Any, other_rest: Any, other_moved: Any) -> float | None:
+    both = min(len(rest), len(other_rest))
+    same = np.all(rest[:both] == other_rest[:both], axis=1)
+    count = both if same.all() else int(np.argmin(same))
+    if not count:
+        return None
+    return float(np.linalg.norm(moved[:count] - other_moved[:count], axis=1).max())
+
+
+def _scene(names: Sequence[str], shapes: Sequence[tuple[Anatomy, Anatomy]]) -> Scene | None:
+    """The runs in 3-D; None where they have other tissues."""
+    tissues = [[tissue.name for tissue in rest] for rest, _ in shapes]
+    if any(other != tissues[0] for other in tissues):
+        return None
+    return compared_scene(shapes[0][0], dict(zip(names, (deformed for _, deformed in shapes), strict=True)))
+
+
+def _links(runs: Sequence[FinishedRun], folder: Path) -> list[str]:
+    """Where each run's own page is, from the folder of the comparison."""
+    from os.path import relpath
+
+    from musclefit.io.run_folder import REPORT_HTML
+
+    pages = [run.folder / REPORT_HTML for run in runs]
+    return [Path(relpath(page, folder)).as_posix() if page.is_file() else "" for page in pages]

@@ -51,9 +51,11 @@ if TYPE_CHECKING:
     from musclefit.workflows.init import init
     from musclefit.workflows.joint_range import joint_range
     from musclefit.workflows.label_surfaces import label_surfaces
+    from musclefit.workflows.render import render
     from musclefit.workflows.repair import repair
     from musclefit.workflows.run import prepared_tets, run, save
     from musclefit.workflows.sequence import planned, read_frames, run_sequence, sequence
+    from musclefit.workflows.view import view
     from musclefit.workflows.warp_deck import warp_deck
     from musclefit.workflows.warp_field import warp_field
     from musclefit.workflows.warp_image import warp_image
@@ -102,6 +104,7 @@ _HOMES = {
     "read_motion": "io.formats.motions",
     "read_rig": "io.rigs",
     "register_kernel": "fields.kernels.registry",
+    "render": "workflows.render",
     "repair": "workflows.repair",
     "retarget": "pipeline.retarget",
     "run": "workflows.run",
@@ -110,6 +113,7 @@ _HOMES = {
     "sequence": "workflows.sequence",
     "tetrahedralise": "meshing.ftetwild",
     "upper_limb": "anatomy.builtin",
+    "view": "workflows.view",
     "warp_deck": "workflows.warp_deck",
     "warp_field": "workflows.warp_field",
     "warp_image": "workflows.warp_image",
@@ -162,6 +166,7 @@ __all__ = [
     "read_motion",
     "read_rig",
     "register_kernel",
+    "render",
     "repair",
     "retarget",
     "run",
@@ -170,6 +175,7 @@ __all__ = [
     "sequence",
     "tetrahedralise",
     "upper_limb",
+    "view",
     "warp_deck",
     "warp_field",
     "warp_image",

@@ -34,9 +34,11 @@ from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
 from musclefit.cli.options import QuietOption, print_json
+from musclefit.cli.render import render
 from musclefit.cli.repair import repair
 from musclefit.cli.rigs import init, rigs, schema
 from musclefit.cli.sequence import sequence
+from musclefit.cli.view import view
 from musclefit.cli.warp_deck import warp_deck
 from musclefit.cli.warp_field import warp_field
 from musclefit.cli.warp_image import warp_image
@@ -225,6 +227,8 @@ app.command(cage, sort_key=6)
 app.command(batch, sort_key=6)
 app.command(collect, sort_key=6)
 app.command(compare, sort_key=3)
+app.command(view, sort_key=3)
+app.command(render, sort_key=3)
 app.command(rigs, sort_key=8)
 app.command(init, sort_key=8)
 app.command(schema, sort_key=8)

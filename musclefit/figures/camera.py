@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,6 +55,24 @@ def principal_views(points: Points) -> tuple[View, View]:
     up, right = _positive(axes[0]), _positive(axes[1])
     towards = np.cross(right, up)
     return _framed(points, right, up, towards), _framed(points, -towards, up, right)
+
+
+def views_around(points: Points, *, count: int) -> tuple[View, ...]:
+    """Views all round the longest extent, evenly spaced from the broad face on, all of one scale and one centre.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, mm
+    count : int
+    """
+    first = principal_views(points)[0]
+    turns = 2.0 * np.pi * np.arange(count) / count
+    rights = [np.cos(turn) * first.right - np.sin(turn) * first.towards for turn in turns]
+    widest = max(float(np.abs((points - first.centre) @ right).max()) for right in rights)
+    return tuple(
+        replace(first, right=right, towards=np.cross(right, first.up), half_width_mm=widest, half_depth_mm=widest)
+        for right in rights
+    )
 
 
 def _positive(axis: Float) -> Float:

@@ -20,6 +20,8 @@ from musclefit.geometry.meshes import TriMesh
 DETERMINANT_LIMITS = (0.0, 2.0)
 """Fixed limits of the determinant's colours: white at 1, where volume is kept."""
 
+SKIN_OPACITY = 0.2
+
 _FOLDED = -1.0
 """What a determinant of zero, below zero or NaN is drawn as: below the limits, whatever it is."""
 _IN_FRONT = -66000.0
@@ -80,7 +82,7 @@ def tissue_panels(
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
         for tissue in panel.anatomy:
-            _add_tissue(plotter, tissue, colours[tissue.name])
+            add_tissue(plotter, tissue, colours[tissue.name])
         _add_marks(plotter, panel)
         _finish(plotter, panel.title, view)
     return plotter
@@ -108,7 +110,7 @@ def determinant_panels(panels: tuple[Panel, ...], view: View, *, height_px: int)
         for tissue in panel.anatomy:
             determinants = panel.marks.determinants.get(tissue.name)
             if tissue.kind is TissueKind.SKIN:
-                _add_tissue(plotter, tissue, (0.75, 0.75, 0.75))
+                add_tissue(plotter, tissue, (0.75, 0.75, 0.75))
             elif determinants is not None:
                 _add_determinants(plotter, tissue, determinants)
         _add_marks(plotter, panel)
@@ -143,12 +145,13 @@ def _plotter(count: int, view: View, height_px: int, *, off_screen: bool = True)
     return plotter
 
 
-def _add_tissue(plotter: Any, tissue: Tissue, colour: Colour) -> None:
+def add_tissue(plotter: Any, tissue: Tissue, colour: Colour, *, skin_opacity: float = SKIN_OPACITY) -> None:
+    """Draw a tissue in its colour into the current panel, the skin translucent."""
     if not len(tissue.surface.faces):
         return
     look: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": False, "color": colour}
     if tissue.kind is TissueKind.SKIN:
-        plotter.add_mesh(surface(tissue.surface), opacity=0.2, specular=0.0, ambient=0.25, **look)
+        plotter.add_mesh(surface(tissue.surface), opacity=skin_opacity, specular=0.0, ambient=0.25, **look)
     else:
         plotter.add_mesh(surface(tissue.surface), specular=0.15, specular_power=12, ambient=0.22, diffuse=0.85, **look)
 
@@ -193,10 +196,15 @@ def _add_marks(plotter: Any, panel: Panel) -> None:
 
 
 def _finish(plotter: Any, title: str, view: View) -> None:
-    """Title, light and camera of the current panel."""
+    """Title and camera of the current panel."""
     words = plotter.add_text(title, position="upper_edge", font_size=13, color="#1d2327", font="arial")
     words.GetTextProperty().SetBackgroundColor(1.0, 1.0, 1.0)  # to be read in front of tissue, too
     words.GetTextProperty().SetBackgroundOpacity(0.85)
+    aim(plotter, view)
+
+
+def aim(plotter: Any, view: View) -> float:
+    """Point the camera of the current panel; gives half the height that it sees, mm."""
     width, height = plotter.window_size
     panel_aspect = width / plotter.shape[1] / height
     scale = view.parallel_scale_mm(panel_aspect)
@@ -209,6 +217,7 @@ def _finish(plotter: Any, title: str, view: View) -> None:
     plotter.renderer.ResetCameraClippingRange()
     plotter.enable_depth_peeling(8)
     plotter.enable_anti_aliasing("ssaa", all_renderers=False)
+    return scale
 
 
 def _folds(determinants: Float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

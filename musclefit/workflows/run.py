@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from musclefit.anatomy.joint_space import SlidingBones, without_joint_space
 from musclefit.anatomy.mesh_rules import LayerRules
 from musclefit.anatomy.model import Anatomy
@@ -111,13 +109,9 @@ class Run(Judged):
 
     def plot(self) -> Any:
         """A pyvista plotter with the tissues before and after, side by side: call its ``show``."""
-        from musclefit.figures.camera import principal_views
-        from musclefit.figures.colours import tissue_colours
-        from musclefit.figures.panels import Panel, tissue_panels
+        from musclefit.workflows.view import side_by_side
 
-        panels = (Panel("At rest", self.rest), Panel("Result", self.deformed))
-        view = principal_views(np.concatenate([self.rest.vertices(), self.deformed.vertices()]))[0]
-        return tissue_panels(panels, view, colours=tissue_colours(self.rest), height_px=800, off_screen=False)
+        return side_by_side(self.rest, self.deformed)
 
 
 def run(

@@ -1,9 +1,9 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
-`fit_body`, `fit_joint`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`, `export`,
-`export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They and what they give back are stable, as are
-the other names of this module; what is in the rooms below may change with any version.
+`fit_body`, `fit_joint`, `from_labels`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`,
+`export`, `export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They and what they give back are
+stable, as are the other names of this module; what is in the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.febio_model import febio_model
     from musclefit.workflows.fit_body import fit_body
     from musclefit.workflows.fit_joint import fit_joint
+    from musclefit.workflows.from_labels import from_labels
     from musclefit.workflows.import_osim import import_osim
     from musclefit.workflows.init import init
     from musclefit.workflows.joint_range import joint_range
@@ -91,6 +92,7 @@ _HOMES = {
     "find_rig": "io.rigs",
     "fit_body": "workflows.fit_body",
     "fit_joint": "workflows.fit_joint",
+    "from_labels": "workflows.from_labels",
     "import_osim": "workflows.import_osim",
     "init": "workflows.init",
     "inspect": "pipeline.inspect",
@@ -153,6 +155,7 @@ __all__ = [
     "find_rig",
     "fit_body",
     "fit_joint",
+    "from_labels",
     "import_osim",
     "init",
     "inspect",

@@ -141,6 +141,30 @@ def _packed_niftis() -> list[bytes]:
     return [gzip.compress(data) for data in _niftis()]
 
 
+def _nrrds() -> list[bytes]:
+    import nrrd
+
+    found = []
+    segments = {"Segment0_Name": "a", "Segment0_LabelValue": "1", "Segment0_Layer": "0", "Segment1_Name": "b"}
+    segments |= {"Segment1_LabelValue": "2", "Segment1_Layer": "1"}
+    for layers, encoding in ((1, "raw"), (1, "gzip"), (2, "gzip"), (1, "ascii")):
+        directions = np.diag([1.0, 2.0, 3.0])
+        header: dict[str, Any] = {
+            "space": "left-posterior-superior",
+            "space origin": [0.0, 1.0, 2.0],
+            "encoding": encoding,
+        }
+        data = np.arange(60 * layers).reshape(layers, 3, 4, 5).astype(np.uint8) % 3
+        if layers > 1:
+            header |= {"space directions": np.vstack([[np.nan] * 3, directions]), **segments}
+        else:
+            data, header = data[0], header | {"space directions": directions}
+        with tempfile.TemporaryDirectory() as folder:
+            nrrd.write(f"{folder}/a.nrrd", data, header)
+            found.append(Path(folder, "a.nrrd").read_bytes())
+    return found
+
+
 def _landmark_tables() -> list[bytes]:
     return [
         b"name,bone,x_mm,y_mm,z_mm,target_x_mm,target_y_mm,target_z_mm\nA,hum,1,2,3,4,5,6\nB,uln,7,8,9,1,2,3\n",
@@ -208,6 +232,18 @@ def _volume(path: Path) -> object:
     from musclefit.io.formats.nifti import read_volume
 
     return read_volume(path)
+
+
+def _segmentation(path: Path) -> object:
+    from musclefit.io.segmentations import read_segmentation
+
+    return read_segmentation(path)
+
+
+def _named_values(path: Path) -> object:
+    from musclefit.io.label_names import read_names
+
+    return read_names(path)
 
 
 def _label_names(path: Path) -> object:
@@ -331,6 +367,12 @@ READERS = (
     Reader("landmarks trc", ".trc", _landmarks, _given(TRC)),
     Reader("image nii", ".nii", _volume, _niftis),
     Reader("image nii.gz", ".nii.gz", _volume, _packed_niftis),
+    Reader("labels nii", ".nii", _segmentation, _niftis),
+    Reader("labels nii.gz", ".nii.gz", _segmentation, _packed_niftis),
+    Reader("labels nrrd", ".seg.nrrd", _segmentation, _nrrds),
+    Reader("names csv", ".csv", _named_values, _given(b"index,structure\n1,biceps\n2,ulna\n")),
+    Reader("names json", ".json", _named_values, _given(b'{"labels": {"background": 0, "femur": 1, "tibia": 2}}')),
+    Reader("names ctbl", ".ctbl", _named_values, _given(b'# Color\n0 none 0 0 0 0\n1 "a b" 255 0 0 255\n')),
     Reader("label names", ".csv", _label_names, _given(b"value,name,kind\n1,biceps,muscle\n2,ulna,bone\n")),
     Reader("motion csv", ".csv", _motion, _given(b"time_s,elbow_deg,phase\n0,0,a\n0.5,10,b\n1,20,c\n")),
     Reader("lattice csv", ".csv", _lattice, _given(LATTICE)),

@@ -29,6 +29,7 @@ from musclefit.cli.export_osim import export_osim
 from musclefit.cli.febio_model import febio_model
 from musclefit.cli.fit_body import fit_body
 from musclefit.cli.fit_joint import fit_joint
+from musclefit.cli.from_labels import from_labels
 from musclefit.cli.import_osim import import_osim
 from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
@@ -215,6 +216,7 @@ app.command(warp_deck, name="warp-deck", sort_key=4)
 app.command(export_osim, name="export-osim", sort_key=5)
 app.command(import_osim, name="import-osim", sort_key=5)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
+app.command(from_labels, name="from-labels", sort_key=5)
 app.command(export, sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)

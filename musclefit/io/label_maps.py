@@ -6,12 +6,12 @@ import csv
 from io import StringIO
 from pathlib import Path
 
-from musclefit.anatomy.label_surfaces import LabelName, label_anatomy
+from musclefit.anatomy.label_surfaces import LabelName, label_anatomy, label_fits
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
 from musclefit.io.anatomy import ReadAnatomy
-from musclefit.io.formats.nifti import read_volume
+from musclefit.io.formats.label_images import read_label_image
 from musclefit.io.formats.texts import read_text
 from musclefit.progress import Progress
 
@@ -55,7 +55,7 @@ def read_label_anatomy(image: Path, names: Path, *, frame: Frame, progress: Prog
     Parameters
     ----------
     image : Path
-        NIfTI label map.
+        NIfTI or NRRD label map.
     names : Path
         See `read_label_names`.
     frame : Frame
@@ -64,11 +64,14 @@ def read_label_anatomy(image: Path, names: Path, *, frame: Frame, progress: Prog
     Raises
     ------
     InputError, MeshError
-        See `read_label_names`, `musclefit.io.formats.nifti.read_volume` and
+        See `read_label_names`, `musclefit.io.formats.label_images.read_label_image` and
         `musclefit.anatomy.label_surfaces.label_anatomy`.
     """
-    volume = read_volume(image)
-    anatomy, findings = label_anatomy(
-        volume.values, volume.grid, names=read_label_names(names), frame=frame, source=str(image), progress=progress
+    stored = read_label_image(image)
+    if len(stored.layers) != 1:
+        raise InputError(f"{image}: holds {len(stored.layers)} volumes; expected one label map, or use from-labels")
+    made = label_anatomy(
+        stored.layers[0], stored.grid, names=read_label_names(names), frame=frame, source=str(image), progress=progress
     )
-    return ReadAnatomy(anatomy, findings, {image.name: volume.sha256})
+    _, off = label_fits(made.anatomy, made, stored.grid, frame=frame)
+    return ReadAnatomy(made.anatomy, (*made.findings, *off), {image.name: stored.sha256})

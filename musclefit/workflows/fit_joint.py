@@ -66,6 +66,12 @@ class JointFit(Shown):
         axis = "" if self.axis is None else f", axis {_listed(self.axis, 6)}"
         return f"{self.kind.value} of {self.fixed} and {self.moving}: centre {_listed(self.centre_mm, 3)} mm{axis}"
 
+    def agreement(self) -> str:
+        """How far the fits to the two bones agree, in words."""
+        if self.turned_deg is None:
+            return f"the centres of the two bones are {self.apart_mm:.2f} mm apart"
+        return f"the axes of the two bones differ by {self.turned_deg:.1f} deg and {self.apart_mm:.2f} mm"
+
     def tables(self) -> Mapping[str, Iterable[Any]]:
         """The fits."""
         return {"fits": [self._row(found) for found in self.fits]}
@@ -111,10 +117,7 @@ class JointFit(Shown):
             if isinstance(fit, CylinderFit):
                 uncertain = ", too little to be sure of it" if fit.spread < SURE_DEG else ""
                 lines[-1] += f", which reach {fit.spread:.0f} deg around the axis{uncertain}"
-        if self.turned_deg is not None:
-            lines.append(f"# the axes of the two bones differ by {self.turned_deg:.1f} deg and {self.apart_mm:.2f} mm")
-        else:
-            lines.append(f"# the centres of the two bones are {self.apart_mm:.2f} mm apart")
+        lines.append(f"# {self.agreement()}")
         return "\n".join(lines)
 
     @staticmethod

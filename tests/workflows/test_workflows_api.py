@@ -24,6 +24,7 @@ COMMANDS = (
     "cage",
     "fit_body",
     "fit_joint",
+    "from_labels",
     "joint_range",
     "label_surfaces",
     "warp_image",

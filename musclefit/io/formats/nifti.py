@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +25,21 @@ from musclefit.io.atomic import check_file_writable
 from musclefit.io.formats.texts import read_bytes
 
 _ENDINGS = (".nii", ".nii.gz")
-_UNITS_MM = {"mm": 1.0, "unknown": 1.0, "meter": 1000.0, "micron": 0.001}
-_MOST_SWOLLEN = 1100
+UNITS_MM = {"mm": 1.0, "unknown": 1.0, "meter": 1000.0, "micron": 0.001}
+MOST_SWOLLEN = 1100
 """How many times larger than a compressed file its content may be; gzip reaches 1032."""
+
+
+class HeaderForm(StrEnum):
+    """Which of a NIfTI header's two transforms is meant where they disagree."""
+
+    AGREED = "agreed"
+    SFORM = "sform"
+    QFORM = "qform"
+
+
+MOST_DISAGREEMENT_VOXELS = 0.1
+"""qform and sform that put a corner of the image farther apart are refused until one is chosen."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,7 +64,36 @@ def read_volume(path: Path) -> Volume:
     Raises
     ------
     InputError
-        No such file, no NIfTI, another number of axes, no orientation in its header, or nibabel is not installed.
+        No such file, no NIfTI, another number of axes, no orientation in its header or two, or nibabel is missing.
+    """
+    image, data, sha = load_checked(path, floats=np.float32)
+    unit = image.header.get_xyzt_units()[0]
+    if data.ndim > 3 and data.shape[3:] == (1,) * (data.ndim - 3):
+        data = data.reshape(data.shape[:3])
+    if data.ndim != 3:
+        raise InputError(f"{path}: an image of shape {data.shape}; expected three axes, one value for each voxel")
+    if unit not in UNITS_MM:
+        raise InputError(f"{path}: its voxels are measured in {unit!r}; known are {', '.join(UNITS_MM)}")
+    scale = UNITS_MM[unit]
+    with np.errstate(all="ignore"):  # the grid refuses what is not finite
+        affine = np.diag([scale, scale, scale, 1.0]) @ stated_affine(path, image.header, data.shape)
+    shape = (int(data.shape[0]), int(data.shape[1]), int(data.shape[2]))
+    return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha)
+
+
+def load_checked(path: Path, *, floats: type[np.floating[Any]]) -> tuple[Any, NDArray[Any], str]:
+    """A nibabel image whose file holds all that its header states, its values and its SHA-256.
+
+    Parameters
+    ----------
+    path : Path
+    floats : type
+        What values become that are not stored as unscaled whole numbers.
+
+    Raises
+    ------
+    InputError
+        No such file, no NIfTI, damaged or cut short, or nibabel is not installed.
     """
     nibabel = _nibabel()
     _require_ending(path)
@@ -62,37 +105,66 @@ def read_volume(path: Path) -> Volume:
         _require_data(image, len(stored), path)
         unscaled = (image.dataobj.slope, image.dataobj.inter) == (1.0, 0.0)
         whole = np.issubdtype(image.get_data_dtype(), np.integer) and unscaled
-        data = np.asanyarray(image.dataobj) if whole else image.get_fdata(dtype=np.float32, caching="unchanged")
-        unit = image.header.get_xyzt_units()[0]
+        data = np.asanyarray(image.dataobj) if whole else image.get_fdata(dtype=floats, caching="unchanged")
+        image.header.get_xyzt_units()
     except (InputError, KeyboardInterrupt):
         raise
     except Exception as error:  # nibabel raises zlib's, mmap's, its own and those of dictionaries
         said = f"{type(error).__name__}: {error}"[:200]
         raise InputError(f"{path}: cannot be read as NIfTI ({said}); export it again") from None
-    if data.ndim > 3 and data.shape[3:] == (1,) * (data.ndim - 3):
-        data = data.reshape(data.shape[:3])
-    if data.ndim != 3:
-        raise InputError(f"{path}: an image of shape {data.shape}; expected three axes, one value for each voxel")
-    header = image.header
-    if int(header["qform_code"]) == 0 and int(header["sform_code"]) == 0:
+    return image, data, sha256(stored).hexdigest()
+
+
+def stated_affine(
+    path: Path, header: Any, shape: tuple[int, ...], *, form: HeaderForm = HeaderForm.AGREED
+) -> NDArray[np.float64]:
+    """The (4, 4) transform that a NIfTI header states, in its own unit.
+
+    Raises
+    ------
+    InputError
+        It states none, or two that disagree and neither is chosen, or not the one that is chosen.
+    """
+    forms = {}
+    try:
+        if int(header["sform_code"]):
+            forms[HeaderForm.SFORM] = np.array(header.get_sform(), dtype=np.float64)
+        if int(header["qform_code"]):
+            forms[HeaderForm.QFORM] = np.array(header.get_qform(), dtype=np.float64)
+    except Exception as error:  # nibabel's own, of quaternions that are none
+        raise InputError(f"{path}: its header's orientation cannot be read ({error}); export it again") from None
+    if not forms:
         raise InputError(
             f"{path}: its header states no orientation (qform and sform codes are 0), so where its voxels are is "
             "unknown; set one with the program it comes from"
         )
-    if unit not in _UNITS_MM:
-        raise InputError(f"{path}: its voxels are measured in {unit!r}; known are {', '.join(_UNITS_MM)}")
-    scale = _UNITS_MM[unit]
-    with np.errstate(all="ignore"):  # the grid refuses what is not finite
-        affine = np.diag([scale, scale, scale, 1.0]) @ image.affine
-    shape = (int(data.shape[0]), int(data.shape[1]), int(data.shape[2]))
-    return Volume(np.ascontiguousarray(data), Grid(shape, affine), sha256(stored).hexdigest())
+    if form in forms:
+        return forms[form]
+    if form is not HeaderForm.AGREED:
+        raise InputError(
+            f"{path}: its header has no {form.value}; leave --header-form out, or give {next(iter(forms))}"
+        )
+    first = next(iter(forms.values()))
+    if len(forms) == 2:
+        ends = np.array([*product(*((0.0, float(n)) for n in shape))])
+        with np.errstate(all="ignore"):
+            turned, moved = (first - forms[HeaderForm.QFORM])[:3, :3], (first - forms[HeaderForm.QFORM])[:3, 3]
+            apart = float(np.linalg.norm(ends @ turned.T + moved, axis=1).max())
+            voxel = float(np.linalg.norm(first[:3, :3], axis=0).min())
+        if not apart <= MOST_DISAGREEMENT_VOXELS * voxel:
+            raise InputError(
+                f"{path}: its header's sform and qform put the image up to {apart:.3g} mm apart, so programs differ in "
+                "where it is; correct the header (or, with from-labels, say which is right by --header-form sform or "
+                "qform)"
+            )
+    return first
 
 
 def _require_data(image: Any, n_bytes: int, path: Path) -> None:
     """Raise InputError where a file is too short for the voxels that its header states, before any are asked for."""
     voxels = math.prod(int(n) for n in image.dataobj.shape)
     needed = voxels * image.get_data_dtype().itemsize
-    most = n_bytes * (_MOST_SWOLLEN if path.name.lower().endswith(".gz") else 1)
+    most = n_bytes * (MOST_SWOLLEN if path.name.lower().endswith(".gz") else 1)
     if min(image.dataobj.shape, default=0) < 1 or needed > most:
         raise InputError(
             f"{path}: its header states an image of shape {tuple(image.dataobj.shape)}, which takes {needed} bytes; "

@@ -29,6 +29,7 @@ from musclefit.io.folder_locks import held
 from musclefit.io.formats.mrml import SceneModel, scene_text
 from musclefit.report.html import render_html, render_inspection
 from musclefit.report.junit import junit_xml
+from musclefit.report.methods import methods_of, methods_text
 from musclefit.report.model import MeshReport, Report
 from musclefit.report.scene import Scene
 from musclefit.report.schema import Json, to_json
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from musclefit.pipeline.intermediate_states import State
 
 REPORT_JSON, REPORT_HTML, SCENE = "report.json", "report.html", "scene.mrml"
-REPORT_JUNIT = "report.junit.xml"
+REPORT_JUNIT, METHODS = "report.junit.xml", "methods.md"
 SURFACES, PICTURES, TETS, POINTS, INTERMEDIATE = "surfaces", "pictures", "tets.vtu", "points", "intermediate"
 
 _NO_POINTS: Mapping[str, Callable[[Path], None]] = MappingProxyType({})
@@ -196,6 +197,8 @@ def write_run(
             save_whole(
                 surface_with_displacements(rest[tissue.name], tissue, frame=deformed.frame), build / files["vtp"]
             )
+        methods = methods_text(methods_of(report, pictures=bool(pictures)))
+        (build / METHODS).write_text(methods, encoding="utf-8", errors="backslashreplace")
         (build / SCENE).write_text(_scene(deformed, surfaces), encoding="utf-8", errors="backslashreplace")
         if tets is not None:
             save_whole(labelled_tets(tets), build / TETS)

@@ -20,6 +20,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
+from musclefit.report.methods import methods_of
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, bone_limit, checks_against
 from musclefit.report.run_differences import Differences
 from musclefit.report.scene import Scene, packed, quantum_mm
@@ -300,6 +301,7 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
         },
         "first_picture": {caption: _data_uri(caption, png) for caption, png in list(pictures.items())[:1]},
         "story": _story(report),
+        "methods": methods_of(report, pictures=bool(pictures)),
         "pictures_problem": pictures_problem,
         "tissues": _tissue_rows(report),
         "pairs": _pair_rows(report),

@@ -214,6 +214,7 @@ def test_a_second_run_replaces_the_first_and_keeps_what_is_not_ours(tmp_path):
     (folder / "empty").mkdir()
     _write(folder, ("deltoid",), pictures={})
     assert _listing(folder) == [
+        "methods.md",
         "notes.txt",
         "report.html",
         "report.json",

@@ -96,6 +96,15 @@ class CageCrossings(StrEnum):
     ACCEPT = "accept"
 
 
+class Proof(StrEnum):
+    """How a step was shown to be one-to-one."""
+
+    MONOTONE = "strictly monotone"
+    """The eigenvalues of the strain stay within the limits of the rule, on a convex domain."""
+    PAIRS = "pair by pair"
+    """No two places of a domain of any shape come together."""
+
+
 class Claim(StrEnum):
     """What is known of a map, or of a deformed mesh, being one-to-one; different claims, never mixed."""
 

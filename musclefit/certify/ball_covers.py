@@ -18,6 +18,12 @@ in the ball and G the mean of grad D between them, U(F(a)) - U(F(b)) = (I + G/2)
 a - b, |v| = 1, c = v . G v / 2 <= sigma and k = |G v| / 2 >= |c|, the squared stretch (1 + k² + 2 c) / (1 + k² - 2 c)
 is at most ((1 + c) / (1 - c))² for c >= 0 and at most 1 for c < 0. So x goes within t max(1, (1 + sigma) / (1 - sigma))
 of U(F(y)) = y + D(y) / 2. Rotation is free.
+
+*Where it is not monotone*, a midpoint is still found (Newton-Kantorovich): with A about the inverse of I - grad D(y)/2
+and k = sup |I - A (I - grad D/2)| < 1 over the ball of radius s, a -> a - A (F(a) - x) contracts by k and keeps the
+ball when |A| t <= (1 - k) s. Such an x has a midpoint a within |A| t / (1 - k) of y; a - y = A (x - F(y)) + e,
+|e| <= k s, so x goes within |(I + G/2) A| t + (k |I + G/2| + r/2) s of U(F(y)), where grad D is within r of G
+over the ball. That it is the only midpoint is for the step's own proof to show.
 """
 
 from __future__ import annotations
@@ -29,6 +35,7 @@ import numpy as np
 
 from musclefit.certify.body_shells import UP
 from musclefit.certify.strain import (
+    LARGEST,
     eigenvalue_rounding,
     gradient_ball_bounds,
     strain_ball_ranges,
@@ -45,13 +52,23 @@ MIDPOINT_REACH = (1.15, 1.6)
 """Radii s around midpoints that are tried, in units of t / (1 - sigma) with sigma sampled at the centre."""
 
 STEEPEST = 0.99
-"""Sampled sigma above which no radius is tried."""
+"""Sampled sigma above which strict monotony is not tried."""
+
+NEWTON_CONTRACTION = 0.5
+"""k above, at most."""
+
+SINGULAR = 1e-9
+"""Determinants up to this are those of no invertible matrix."""
+
+MATRIX_ROUNDING = 1e-13
+"""Of the sizes of matrices: what products of two and their norms may be off."""
 
 RESIDUAL_SHARE = 0.02
 """Of a ball's radius: how well its midpoint is solved for; the rest is part of t."""
 
-SOLVED = 1e-11
-"""Of the coordinates: midpoints are found when they are solved to this, however small their balls."""
+SOLVED = 1e-6
+"""Of the coordinates and of the size of what is covered: midpoints are found when they are solved to this, however
+small their balls; by what is left of it the balls grow."""
 
 NEWTON_ITERATIONS = 40
 
@@ -84,8 +101,8 @@ class Midpoints:
         s above.
     reach : (N,) float64, mm
         t above.
-    strain : (N,) float64
-        sigma above.
+    spread : (N,) float64, mm
+        How far from the image of the centre the step takes what is covered.
     found : (N,) bool
         Where a ball was found; the others prove nothing.
     hopeless : (N,) bool
@@ -95,7 +112,7 @@ class Midpoints:
     points: Points
     radii: Float
     reach: Float
-    strain: Float
+    spread: Float
     found: Bool
     hopeless: Bool
 
@@ -106,7 +123,7 @@ class Midpoints:
             self.points[kept],
             self.radii[kept],
             self.reach[kept],
-            self.strain[kept],
+            self.spread[kept],
             self.found[kept],
             self.hopeless[kept],
         )
@@ -117,7 +134,7 @@ class Midpoints:
             np.concatenate([self.points, other.points]),
             np.concatenate([self.radii, other.radii]),
             np.concatenate([self.reach, other.reach]),
-            np.concatenate([self.strain, other.strain]),
+            np.concatenate([self.spread, other.spread]),
             np.concatenate([self.found, other.found]),
             np.concatenate([self.hopeless, other.hopeless]),
         )
@@ -162,12 +179,13 @@ def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:
     residual = np.linalg.norm(middle - 0.5 * values - cover.points, axis=1) + errors
     reach = (cover.radii + residual + _coordinate_rounding(cover.points, values)) * UP
     n_points = len(middle)
-    radii, strain, found = reach.copy(), np.zeros(n_points), np.zeros(n_points, dtype=bool)
-    hopeless = ~(residual <= np.maximum(cover.radii, SOLVED * (1e-6 + np.abs(cover.points).sum(axis=1))))
+    radii, spread, found = reach.copy(), np.full(n_points, np.inf), np.zeros(n_points, dtype=bool)
+    solved = SOLVED * (float(np.ptp(cover.points, axis=0).max(initial=0.0)) + np.abs(cover.points).sum(axis=1))
+    hopeless = ~(residual <= np.maximum(cover.radii, solved))
     left = np.flatnonzero(np.isfinite(reach) & ~hopeless)
     sampled = 0.5 * symmetric_eigenvalues(field.gradient(middle[left]))[:, -1]
-    hopeless[left] = ~(sampled < STEEPEST)
-    left, sampled = left[~hopeless[left]], sampled[sampled < STEEPEST]
+    steep = left[~(sampled < STEEPEST)]
+    left, sampled = left[sampled < STEEPEST], sampled[sampled < STEEPEST]
     for widening in MIDPOINT_REACH:
         if not left.size:
             break
@@ -177,18 +195,49 @@ def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:
         passes = (1.0 - sigma) * factor > 1.0 + 1e-9
         done, own = left[passes], sigma[passes]
         radii[done] = np.minimum(factor[passes], (1.0 + 1e-9) / (1.0 - own)) * reach[done] * UP
-        strain[done], found[done] = own, True
+        spread[done] = np.maximum(1.0, (1.0 + own) / (1.0 - own)) * reach[done] * UP
+        found[done] = True
         left, sampled = left[~passes], sampled[~passes]
-    return Midpoints(middle, radii, reach, strain, found, hopeless)
+    left = np.concatenate([left, steep])
+    radii[left], spread[left], found[left], hopeless[left] = _newton_balls(field, middle[left], reach[left])
+    return Midpoints(middle, radii, reach, spread, found, hopeless)
+
+
+def _newton_balls(field: Field, middle: Points, reach: Float) -> tuple[Float, Float, Bool, Bool]:
+    """Radii around (N, n) places of balls that hold a midpoint each of what lies within ``reach`` of F there.
+
+    Gives with them how far the step takes that from the image of the place, whether it is proved, and whether smaller
+    reaches would not help.
+    """
+    eye = np.eye(middle.shape[1])
+    matrices = eye - 0.5 * field.gradient(middle)
+    matrices[~(np.abs(matrices).max(axis=(1, 2), initial=0.0) < LARGEST)] = 0.0
+    known = np.abs(np.linalg.det(matrices)) > SINGULAR
+    inverse = np.linalg.inv(np.where(known[:, None, None], matrices, eye))
+    size = np.linalg.norm(inverse, 2, axis=(1, 2)) * UP
+    radii = size * reach / (1.0 - NEWTON_CONTRACTION) * UP
+    known &= np.isfinite(radii)
+    gradients, off = gradient_ball_bounds(field, middle, np.where(known, radii, 0.0))
+    known &= np.isfinite(gradients).all(axis=(1, 2)) & np.isfinite(off)
+    gradients, off = np.where(known[:, None, None], gradients, 0.0), np.where(known, off, 0.0)
+    apart = np.linalg.norm(eye - inverse @ (eye - 0.5 * gradients), axis=(1, 2))
+    contraction = (apart + 0.5 * size * off + MATRIX_ROUNDING * size * (1.0 + np.abs(gradients).sum(axis=(1, 2)))) * UP
+    found = known & (contraction <= NEWTON_CONTRACTION)
+    ahead = eye + 0.5 * gradients[found]
+    steep = np.linalg.norm(ahead, axis=(1, 2)) * UP
+    spread = np.full(len(middle), np.inf)
+    spread[found] = np.linalg.norm(ahead @ inverse[found], 2, axis=(1, 2)) * reach[found] * UP
+    spread[found] += (contraction[found] * steep + 0.5 * off[found]) * radii[found]
+    spread[found] += MATRIX_ROUNDING * size[found] * steep * reach[found]
+    return radii, spread * UP, found, ~known
 
 
 def cayley_image(field: Field, midpoints: Midpoints) -> Cover:
     """A cover of the image of the surface, from its midpoints."""
     values, errors = displacement_with_error(field, midpoints.points)
     moved = midpoints.points + 0.5 * values
-    stretch = np.maximum(1.0, (1.0 + midpoints.strain) / (1.0 - midpoints.strain))
     off = errors + _coordinate_rounding(midpoints.points, values)
-    return Cover(moved, (stretch * midpoints.reach + off) * UP)
+    return Cover(moved, (midpoints.spread + off) * UP)
 
 
 def solve(field: Field, targets: Points, *, factor: float, goals: Float) -> Points:

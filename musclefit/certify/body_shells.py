@@ -164,8 +164,9 @@ def voxel_shell(corners: Float, *, edge: float) -> Shell:
     corners = _small_triangles(corners, 0.5 * edge)
     low = low - (1.5 + STANDOFF) * edge
     counts = np.ceil((high - low) / edge + 1.5 + STANDOFF).astype(int)
-    first = np.floor((corners.min(axis=1) - low) / edge - STANDOFF).astype(int)
-    last = np.floor((corners.max(axis=1) - low) / edge + STANDOFF).astype(int)
+    lowest, highest = _boxes_around(corners)
+    first = np.floor((lowest - low) / edge - STANDOFF).astype(int)
+    last = np.floor((highest - low) / edge + STANDOFF).astype(int)
     filled = np.zeros(counts, dtype=bool)
     for offset in np.ndindex(*((last - first).max(axis=0) + 1)):
         cell = np.minimum(first + np.array(offset), last)
@@ -186,13 +187,20 @@ def _small_triangles(corners: Float, size: float) -> Float:
     """Cut triangles in four until their sides are at most ``size`` along every axis."""
     done = []
     while len(corners):
-        small = (np.ptp(corners, axis=1) <= size).all(axis=1)
+        lowest, highest = _boxes_around(corners)
+        small = ((highest - lowest) <= size).all(axis=1)
         done.append(corners[small])
         c = corners[~small]
         a, b, d = 0.5 * (c[:, 0] + c[:, 1]), 0.5 * (c[:, 1] + c[:, 2]), 0.5 * (c[:, 2] + c[:, 0])
         parts = [(c[:, 0], a, d), (a, c[:, 1], b), (d, b, c[:, 2]), (a, b, d)]
         corners = np.concatenate([np.stack(part, axis=1) for part in parts])
     return np.concatenate(done)
+
+
+def _boxes_around(corners: Float) -> tuple[Points, Points]:
+    """Lowest and highest corners, (T, 3), of boxes around triangles; faster than reductions along a short axis."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def _require_closed(skin: TriMesh) -> None:

@@ -23,6 +23,11 @@ inside that image and in the convex hull of any cover of it. So step j + 1 is pr
 the steps before took those around the skin. All this is done for a closed shell a little outside the skin (`shells`)
 in place of the skin itself: what is inside the skin is inside the shell.
 
+**Where a step is not monotone** there, it may be one-to-one all the same: a region of small cells around the body (for
+Cayley steps: around its midpoints) then takes the hull's place, and `pairs` shows of id + D, or of id - D/2 and
+id + D/2, that no two points of it come together. The complement of such a region is connected, and so is that of its
+image under F, a homeomorphic compact set (Alexander duality): the arguments above hold for it word for word.
+
 **Without a skin** the body is the axis-aligned box around the given points.
 
 **Tissues and points outside the skin.** What is delivered need not lie inside the skin. Triangles that are not seen to
@@ -50,6 +55,8 @@ from musclefit.certify.boxes import BoxProof, prove
 from musclefit.certify.domains import Hull
 from musclefit.certify.folds import find_fold
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
+from musclefit.certify.pairs import PairProof, prove_one_to_one
+from musclefit.certify.regions import Region
 from musclefit.certify.strain import Condition
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
@@ -57,17 +64,23 @@ from musclefit.geometry.arrays import Bool, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.winding import exact_winding_numbers, winding_numbers
 from musclefit.progress import CERTIFY, Progress, Silent, Tick
-from musclefit.vocabulary import Claim, StepKind
+from musclefit.vocabulary import Claim, Proof, StepKind
 
 MAX_BOXES = 400_000
 """Boxes that a certificate may examine, over all steps."""
 
+PAIRS_SHARE = 0.25
+"""Of the budget that a step has left: what is kept for a proof by pairs, should it not be shown to be monotone."""
+
+FINER_SHARE = 0.5
+"""Of the budget for a proof by pairs: what is kept for the finer shell."""
+
 MARGIN_SHARE = 0.5
 """A certified margin is at least this share of the sampled one, where the budget lasts."""
 
-SHELLS = (40, 160)
+SHELLS = (40, 100)
 """Voxels along the skin's longest side: the shell around the skin, and the finer one that is tried when no claim could
-be made of what is inside the first."""
+be made of what is inside the first, unless a step is too steep for its surface already."""
 
 SAMPLES = 8000
 """Grid points of the body's bounding box that a search for a fold looks at first."""
@@ -78,7 +91,7 @@ MAX_SPLITS = 10
 MAX_PATCHES = 400_000
 """Pieces of the surface."""
 
-PIECES_PER_BOX = 4
+PIECES_PER_BOX = 2
 """Of the budget of boxes: so many pieces of the surface may be made by cutting and carried through steps, for each of
 the shells that are tried."""
 
@@ -100,6 +113,7 @@ def certify_map(
     points: Points | None = None,
     max_boxes: int = MAX_BOXES,
     margin_share: float = MARGIN_SHARE,
+    pairs_share: float = PAIRS_SHARE,
     progress: Progress | None = None,
 ) -> MapCertificate:
     """Prove that a composition of steps is one-to-one and orientation keeping inside the skin, or that it is not.
@@ -121,6 +135,9 @@ def certify_map(
     margin_share : float
         In [0, 1): how much of the smallest sampled margin the proved one must reach; larger costs more boxes. A budget
         that does not reach it, but a positive margin everywhere, certifies that.
+    pairs_share : float
+        In [0, 1): of the budget that a step has left, what is kept for a proof by pairs where it is not shown to be
+        monotone; 0 for no such proofs.
 
     Returns
     -------
@@ -134,32 +151,54 @@ def certify_map(
     InputError
         No points, points that are not finite, or a budget or share out of range.
     """
-    if max_boxes < 1 or not 0.0 <= margin_share < 1.0:
+    if max_boxes < 1 or not 0.0 <= margin_share < 1.0 or not 0.0 <= pairs_share < 1.0:
         raise InputError(
-            f"max_boxes is {max_boxes} and margin_share {margin_share}; they must be at least 1, and in [0, 1)"
+            f"max_boxes is {max_boxes}, margin_share {margin_share} and pairs_share {pairs_share}; they must be at "
+            "least 1, and in [0, 1)"
         )
     with (progress or Silent()).stage(CERTIFY) as raw_tick:
         spent, tick = 0, _never_back(raw_tick)
         for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
             body = _Body.of(skin, voxels=voxels, tissues=tissues, points=points)
             body.pieces_left = PIECES_PER_BOX * max_boxes
-            found, fold = _judge(steps, body, max_boxes=max_boxes - spent, margin_share=margin_share, tick=tick)
+            found, fold = _judge(
+                steps,
+                body,
+                max_boxes=max_boxes - spent,
+                margin_share=margin_share,
+                pairs_share=pairs_share,
+                kept_share=0.0 if voxels == SHELLS[-1] or not isinstance(skin, TriMesh) else FINER_SHARE,
+                tick=tick,
+            )
             spent += sum(step.boxes_examined for step in found)
-            if not found or found[-1].claim is not Claim.UNDECIDED or spent >= max_boxes:
+            open_still = bool(found) and found[-1].claim is Claim.UNDECIDED
+            if not open_still or spent >= max_boxes or not found[-1].boxes_examined:
                 break
     return _summary(found, fold, examined=spent, max_boxes=max_boxes)
 
 
 def _judge(
-    steps: Sequence[tuple[StepKind, Field]], body: _Body, *, max_boxes: int, margin_share: float, tick: Tick
+    steps: Sequence[tuple[StepKind, Field]],
+    body: _Body,
+    *,
+    max_boxes: int,
+    margin_share: float,
+    pairs_share: float,
+    kept_share: float,
+    tick: Tick,
 ) -> tuple[tuple[StepCertificate, ...], tuple[Fold, ...]]:
-    """Step by step, up to the first that is not certified."""
+    """Step by step, up to the first that is not certified.
+
+    Of the budget that a proof by pairs has, ``kept_share`` is left for what is tried after this.
+    """
     found: list[StepCertificate] = []
     for number, (kind, field) in enumerate(steps):
         budget = max_boxes - sum(step.boxes_examined for step in found)
         trial = _Trial(kind, field, body)
-        proof = trial.prove(budget, margin_share, _part(tick, number, len(steps)))
+        part = _part(tick, number, len(steps))
+        proof = trial.prove(max(1, round((1.0 - pairs_share) * budget)), margin_share, part)
         step = trial.certificate(proof)
+        domain: Hull | Region = trial.domain
         if step.claim is not Claim.CERTIFIED:
             starts, stride = trial.suspects(proof)
             fold = find_fold(
@@ -171,12 +210,17 @@ def _judge(
                 inside=body.inside,
                 surely_inside=body.surely_inside,
             )
-            found.append(replace(step, claim=Claim.REFUTED) if fold else step)
-            return tuple(found), fold
+            if fold:
+                found.append(replace(step, claim=Claim.REFUTED))
+                return tuple(found), fold
+            for_pairs = (1.0 - kept_share) * (budget - step.boxes_examined) if pairs_share else 0.0
+            step, domain = trial.by_pairs(step, round(for_pairs), part)
         found.append(step)
+        if step.claim is not Claim.CERTIFIED:
+            break
         tick((number + 1) / len(steps))
         if number + 1 < len(steps):
-            body.move(kind, field, trial.midpoints, trial.hull)
+            body.move(kind, field, trial.midpoints, domain)
     return tuple(found), ()
 
 
@@ -187,7 +231,7 @@ class _Body:
         self.patches, self.parts, self.single = patches, parts, single
         self.cover = Cover(patches.centres, patches.radii())
         self.steps: list[tuple[StepKind, Field]] = []
-        self.hulls: list[Hull] = []
+        self.domains: list[Hull | Region] = []
         self.pieces_left = MAX_PATCHES
         self._narrow()
 
@@ -289,24 +333,24 @@ class _Body:
     def _carried(self, patches: Patches) -> Cover:
         """The balls to which the steps so far take pieces; of infinite radius where that is not proved.
 
-        A midpoint counts only in the hull that its step was proved on: the equation may have others elsewhere.
+        A midpoint counts only in the domain that its step was proved on: the equation may have others elsewhere.
         """
         cover = Cover(patches.centres, patches.radii())
-        for (kind, field), hull in zip(self.steps, self.hulls, strict=True):
+        for (kind, field), domain in zip(self.steps, self.domains, strict=True):
             if kind is StepKind.EXPLICIT:
                 cover = explicit_image(field, cover)
                 continue
             midpoints = cayley_midpoints(field, cover)
             cover = cayley_image(field, midpoints)
-            proved = midpoints.found & hull.holds_balls(midpoints.points, midpoints.radii)
+            proved = midpoints.found & domain.holds_balls(midpoints.points, midpoints.radii)
             cover = Cover(cover.points, np.where(proved, cover.radii, np.inf))
         return cover
 
-    def move(self, kind: StepKind, field: Field, midpoints: Midpoints | None, hull: Hull) -> None:
-        """Take the surface through a step that is proved on a hull."""
+    def move(self, kind: StepKind, field: Field, midpoints: Midpoints | None, domain: Hull | Region) -> None:
+        """Take the surface through a step that is proved on a domain."""
         self.cover = explicit_image(field, self.cover) if midpoints is None else cayley_image(field, midpoints)
         self.steps.append((kind, field))
-        self.hulls.append(hull)
+        self.domains.append(domain)
         self._narrow()
 
 
@@ -388,10 +432,10 @@ class _Trial:
             )
         elif held.radii.max() > WIDEST_BALL * float(np.ptp(held.points, axis=0).max() + 1.0):
             self.blocked = "the balls that enclose the moved surface grew too wide"
-        self.places = held.points[kept]
+        self.held = Cover(held.points[kept], held.radii[kept])
         # Where nothing is known of where the surface goes, the domain that is told of is where it comes from.
         known = held if kept.any() else Cover(body.cover.points, np.zeros(len(kept)))
-        self.hull = Hull.around(known.points[kept | ~kept.any()], known.radii[kept | ~kept.any()])
+        self.domain = Hull.around(known.points[kept | ~kept.any()], known.radii[kept | ~kept.any()])
 
     def prove(self, max_boxes: int, margin_share: float, tick: Tick) -> BoxProof | None:
         """Branch and bound on the step's domain; nothing where there is none."""
@@ -400,7 +444,7 @@ class _Trial:
         return prove(
             self.field,
             Condition.of(self.kind),
-            self.hull,
+            self.domain,
             max_boxes=max_boxes,
             margin_share=margin_share,
             tick=tick,
@@ -408,7 +452,7 @@ class _Trial:
 
     def certificate(self, proof: BoxProof | None) -> StepCertificate:
         """The record of what was found, before a fold is looked for."""
-        n = len(self.hull.low)
+        n = len(self.domain.low)
         if proof is None:
             margin, place, examined, left, note = np.nan, (np.nan,) * n, 0, 0, self.blocked
         else:
@@ -424,17 +468,52 @@ class _Trial:
             worst_place=place,
             boxes_examined=examined,
             boxes_left=left,
-            domain_low=_place(self.hull.low),
-            domain_high=_place(self.hull.high),
+            domain_low=_place(self.domain.low),
+            domain_high=_place(self.domain.high),
             note=note,
+        )
+
+    def by_pairs(self, step: StepCertificate, max_boxes: int, tick: Tick) -> tuple[StepCertificate, Hull | Region]:
+        """What is known of a step that is not shown to be monotone once pairs of its places were looked at.
+
+        Gives the domain of the proof, too; the step as it is where a proof is not to be had.
+        """
+        if self.blocked or max_boxes < 1:
+            return step, self.domain
+        region = Region.around(self.held.points, self.held.radii)
+        factors = (-0.5, 0.5) if self.kind is StepKind.CAYLEY else (1.0,)
+        proof: PairProof = prove_one_to_one(self.field, factors, region, max_boxes=max_boxes, tick=tick)
+        low, high = region.bounds
+        certified = proof.margin > 0.0
+        found = replace(
+            step,
+            claim=Claim.CERTIFIED if certified else Claim.UNDECIDED,
+            proof=Proof.PAIRS if certified else step.proof,
+            boxes_examined=step.boxes_examined + proof.examined,
+            boxes_left=proof.left,
+            note="" if certified else f"{step.note}; nor by pairs: {proof.ended}",
+        )
+        if not certified:
+            return found, self.domain
+        return (
+            replace(
+                found,
+                margin=proof.margin,
+                sampled_margin=proof.sampled_margin,
+                worst_place=_place(proof.place),
+                domain_low=_place(low),
+                domain_high=_place(high),
+            ),
+            region,
         )
 
     def suspects(self, proof: BoxProof | None) -> tuple[Points, float]:
         """Where to look for a fold first, and how far around."""
-        stride = 0.02 * float((self.hull.high - self.hull.low).max())
+        stride = 0.02 * float((self.domain.high - self.domain.low).max())
         if proof is not None:
             return proof.places, stride
-        thinned = self.places[:: max(1, len(self.places) // 256)]
+        places = self.held.points
+        thinned = places[:: max(1, len(places) // 256)]
         return thinned, stride
 
 

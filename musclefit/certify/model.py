@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from musclefit.geometry.arrays import Int, Points
-from musclefit.vocabulary import Claim, StepKind
+from musclefit.vocabulary import Claim, Proof, StepKind
 
 Place = tuple[float, ...]
 """Coordinates of a point, mm."""
@@ -56,6 +56,9 @@ class StepCertificate:
         Bounding box of the convex domain of the proof.
     note : str
         Why it is not certified.
+    proof : Proof
+        What was proved, or tried first. By pairs, the margins are of the smallest singular value of the Jacobian (of
+        both factors of a Cayley step), 1 without deformation and 0 at a fold.
     """
 
     kind: StepKind
@@ -68,6 +71,7 @@ class StepCertificate:
     domain_low: Place
     domain_high: Place
     note: str = ""
+    proof: Proof = Proof.MONOTONE
 
 
 @dataclass(frozen=True, slots=True)

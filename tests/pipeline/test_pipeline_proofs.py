@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from musclefit.certify.model import MapCertificate, StepCertificate
 from musclefit.fields.radial import RadialBackend
 from musclefit.flow.deformation import Deformation, Status
 from musclefit.flow.steps import CayleyStep, ExplicitStep
+from musclefit.geometry.meshes import TriMesh
 from musclefit.pipeline import proving
 from musclefit.pipeline.proving import PROOFS, place_at_rest, proved
 from musclefit.progress import Silent
@@ -108,9 +110,11 @@ def test_a_march_that_nothing_shortens_is_left_as_it_is(monkeypatch: pytest.Monk
 FAR = np.array([[900.0, 0.0, 0.0]])
 
 
-@pytest.mark.parametrize("reaches", [True, False])
-def test_a_proof_is_asked_of_tissues_and_attached_points(reaches: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it does not reach the points, it is made of the body, and says what it leaves out."""
+@pytest.mark.parametrize(("reaches", "points", "asks"), [(True, FAR, 1), (False, FAR, 2), (False, FAR / 100.0, 1)])
+def test_a_proof_is_asked_of_tissues_and_attached_points(
+    reaches: bool, points: np.ndarray, asks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it does not reach points outside the skin, it is made of the body, and says what it leaves out."""
     asked: list[Any] = []
 
     def certified(*_: Any, tissues: Any, points: Any = None, **__: Any) -> MapCertificate:
@@ -119,17 +123,19 @@ def test_a_proof_is_asked_of_tissues_and_attached_points(reaches: bool, monkeypa
         return undecided(1, np.zeros(3), claim=claim, margin=0.3)
 
     monkeypatch.setattr(proving, "certify_map", certified)
-    skin, muscle = (SimpleNamespace(name=name, surface=object()) for name in ("skin", "muscle"))
+    ball = trimesh.creation.icosphere(2, radius=50.0)
+    surface = TriMesh(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int64))
+    skin, muscle = (SimpleNamespace(name=name, surface=surface) for name in ("skin", "muscle"))
     job = SimpleNamespace(
         rig=SimpleNamespace(certificate=SimpleNamespace(enabled=True, max_boxes=10)),
         anatomy=SimpleNamespace(skin=skin, tissues=(skin, muscle)),
-        further=(SimpleNamespace(name="markers.trc", points=FAR),),
+        further=(SimpleNamespace(name="markers.trc", points=points),),
     )
     made = SimpleNamespace(deformed=SimpleNamespace(deformation=two_steps(CayleyStep)))
     proof = proving._proof(made, job, Silent())  # type: ignore[arg-type]
     assert proof is not None
-    assert proof.claim is Claim.CERTIFIED
-    assert proof.not_covered == (() if reaches else ("markers.trc",))
-    assert len(asked) == (1 if reaches else 2)
+    assert (proof.claim is Claim.CERTIFIED) == (reaches or asks == 2)
+    assert proof.not_covered == (("markers.trc",) if asks == 2 else ())
+    assert len(asked) == asks
     assert all(list(tissues) == [muscle.surface] for tissues, _ in asked)
-    np.testing.assert_array_equal(asked[0][1], FAR)
+    np.testing.assert_array_equal(asked[0][1], points)

@@ -77,10 +77,14 @@ def self_crossings(mesh: TriMesh) -> Crossings:
     pairs, flat = np.sort(whole[found.reshape(-1, 2)], axis=1), coplanar.ravel().astype(bool)
     # libigl 2.6.3 compares rounded normals at a common edge: it takes neighbours 1e-9 apart for folded, and misjudges
     # those that run through their edge the same way; what has a common edge is judged here
-    by_edge = np.array([len(np.intersect1d(*pair)) == 2 for pair in merged.faces[pairs]], dtype=bool)
+    common = np.array([len(np.intersect1d(*pair)) for pair in merged.faces[pairs]], dtype=np.int64)
+    # and it takes triangles for crossing of which one leaves the other's plane by an ulp from their common corner
+    kept = common != 2
+    by_corner = np.flatnonzero(common == 1)
+    kept[by_corner] = ~_only_at_corner(merged.vertices, merged.faces[pairs[by_corner]])
     folded = _folded_neighbours(merged.vertices, merged.faces, whole)
-    pairs = np.concatenate([pairs[~by_edge], folded])
-    return _crossings(pairs, np.concatenate([flat[~by_edge], np.ones(len(folded), dtype=bool)]), mesh, mesh)
+    pairs = np.concatenate([pairs[kept], folded])
+    return _crossings(pairs, np.concatenate([flat[kept], np.ones(len(folded), dtype=bool)]), mesh, mesh)
 
 
 def crossings_between(a: TriMesh, b: TriMesh) -> Crossings:
@@ -105,6 +109,26 @@ def _reach_through(planes: Float, triangles: Float) -> Float:
     apart = np.einsum("pki,pi->pk", triangles - planes[:, :1], normals) / np.where(lengths > 0.0, lengths, 1.0)[:, None]
     reach = np.minimum(np.maximum(apart.max(axis=1), 0.0), np.maximum(-apart.min(axis=1), 0.0))
     return np.where(lengths > 0.0, reach, np.inf)
+
+
+def _only_at_corner(vertices: Points, pairs: Int) -> Bool:
+    """(k,) pairs of triangles, (k, 2, 3), of which one stands on one side of the other's plane but for their corner."""
+    apart = np.zeros(len(pairs), dtype=bool)
+    if not len(pairs):
+        return apart
+    at_corner = (pairs[:, :, :, None] == pairs[:, ::-1, None, :]).any(axis=3)
+    for own, other in ((0, 1), (1, 0)):
+        a, b, c = (np.ascontiguousarray(vertices[pairs[:, other, k]]) for k in range(3))
+        sides = np.stack(
+            [
+                np.asarray(predicates.orient3d(a, b, c, np.ascontiguousarray(vertices[pairs[:, own, k]]))).ravel()
+                for k in range(3)
+            ],
+            axis=1,
+        ).astype(np.int64)
+        for side in (1, -1):
+            apart |= ((sides == side) | at_corner[:, own]).all(axis=1)
+    return apart
 
 
 def _folded_neighbours(vertices: Points, faces: Faces, whole: Int) -> Int:

@@ -1,10 +1,11 @@
 """Where each muscle holds on to bone, found from distances by one stated rule; knows no fibre and no map.
 
-A place of a muscle's surface is *close* to a bone when that bone is the nearest and no farther than ``within_mm``. Each
-bone's close area covers a part of the muscle's length (`geometry.surfaces.sections.position_along`, 0 to 1 by area). At
-each end of the muscle the attachment is the close area of the one bone that comes nearest to that end, if the area
-reaches into that half of the muscle and is at least `LEAST_SHARE` of the muscle's thin sections. A bone that comes
-nearest to both ends is taken at the end that its area's median is nearer to. Other bones that are touched are named.
+A place of a muscle's surface is *close* to a bone when that bone is the nearest, no farther than ``within_mm``, and on
+the side that the surface faces: the far side of a thin sheet is not. Each bone's close area covers a part of the
+muscle's length (`geometry.surfaces.sections.position_along`, 0 to 1 by area). At each end of the muscle the attachment
+is the close area of the one bone that comes nearest to that end, if the area reaches into that half of the muscle and
+is at least `LEAST_SHARE` of the muscle's thin sections. A bone that comes nearest to both ends is taken at the end that
+its area's median is nearer to. Other bones that are touched are named.
 Distance cannot tell an attachment from a tendon that passes close by: what is known better goes into a file.
 """
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
-from musclefit.geometry.arrays import Float, Int, Points
+from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import DistanceTree, nearest_places
@@ -260,8 +261,18 @@ def _close_areas(looked: _Looked, bones: Sequence[Tissue], *, within_mm: float) 
     found = []
     for number, bone in enumerate(bones):
         faces = np.flatnonzero((nearest == number) & (looked.distances[number] <= within_mm))
+        faces = faces[_facing(looked.surface, faces, bone.surface)] if len(faces) else faces
         if len(faces):
             found.append(_close_area(bone.name, looked, faces))
+    return found
+
+
+def _facing(surface: TriMesh, faces: Int, bone: TriMesh) -> Bool:
+    """Which of some triangles have the bone's nearest place in front of them."""
+    corners = surface.corners()[faces]
+    middles = corners.mean(axis=1)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    found: Bool = np.einsum("fi,fi->f", normals, nearest_places(middles, bone).places - middles) > 0.0
     return found
 
 

@@ -1,7 +1,9 @@
 r"""Fibre directions in a muscle's tetrahedra by Laplace flow between its ends; knows no bone and no map.
 
 The potential :math:`u` solves :math:`\Delta u = 0` with 0 on the origin, 1 on the insertion and no flux through the
-rest of the surface, by linear finite elements; fibres run along its gradient.
+rest of the surface, by linear finite elements; fibres run along its gradient. Where a muscle holds on to bone along
+most of its length, that gradient dies away exponentially from the other end; in such a muscle the flow is driven by an
+even flux in through the origin and out through the insertion instead.
 
 References
 ----------
@@ -11,7 +13,7 @@ simulation, PLoS ONE 8 (2013) e77576.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array
@@ -20,7 +22,7 @@ from scipy.sparse.linalg import splu
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
-from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.measures import area_vectors, signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.tets.relocation import inverse_shapes
@@ -28,6 +30,9 @@ from musclefit.geometry.tets.topology import tet_faces
 
 SINGULAR_SHARE = 0.01
 """Where the gradient is below this share of its median over the volume, its direction says nothing."""
+
+EVEN_FLUX_ABOVE = 0.1
+"""A larger share of the volume than this without direction calls for an even flux."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,13 +45,15 @@ class FibreField:
     origin, insertion : (n,) bool
         Vertices of the two ends.
     potential : (n,) float64
-        0 at the origin, 1 at the insertion; NaN in pieces that do not reach both.
+        0 at the origin, 1 at the insertion (with an even flux: in the mean); NaN in pieces that do not reach both.
     directions : (k, 3) float64
         Of each tet, length 1, from origin to insertion; 0 where there is none.
     residual : float
         Largest flux out of a free vertex, over the largest into an end's: 0 if solved exactly.
     singular_share, left_out_share : float
         Share of the volume where the gradient all but vanishes; and of pieces that do not reach both ends.
+    even_flux : bool
+        Whether the flow is driven by an even flux, because held potentials left too much without direction.
     """
 
     mesh: TetMesh
@@ -57,6 +64,7 @@ class FibreField:
     residual: float
     singular_share: float
     left_out_share: float
+    even_flux: bool = False
 
 
 def laplace_fibres(mesh: TetMesh, *, origin: TriMesh, insertion: TriMesh, within_mm: float) -> FibreField:
@@ -85,14 +93,68 @@ def laplace_fibres(mesh: TetMesh, *, origin: TriMesh, insertion: TriMesh, within
         raise MeshError("no piece of the tetrahedra reaches from origin to insertion; mesh it finer")
     inside = np.isin(pieces, reached)
     stiffness = laplacian(mesh.tets, gradients, volumes, count=len(mesh.vertices))
+    held = _held(stiffness, inside, begins, ends)
+    found = _field(mesh, gradients, volumes, inside, begins, ends, held)
+    if found.singular_share > EVEN_FLUX_ABOVE:
+        even = _even_flux(stiffness, mesh, pieces, reached, begins, ends)
+        return replace(_field(mesh, gradients, volumes, inside, begins, ends, even), even_flux=True)
+    return found
+
+
+def _held(stiffness: csc_array, inside: Bool, begins: Bool, ends: Bool) -> tuple[Float, float]:
+    """The potential that is 0 at the origin and 1 at the insertion, and its residual."""
     fixed, free = inside & (begins | ends), np.flatnonzero(inside & ~(begins | ends))
     potential = np.where(ends, 1.0, 0.0)
     if len(free):
         right = -(stiffness[free][:, np.flatnonzero(fixed)] @ potential[fixed])
-        solver = splu(csc_array(stiffness[free][:, free]), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        potential[free] = solver.solve(right)
+        potential[free] = _solved(stiffness[free][:, free], right)
     flux = stiffness @ np.where(inside, potential, 0.0)
-    residual = np.abs(flux[free]).max(initial=0.0) / max(np.abs(flux[fixed]).max(initial=0.0), 1e-300)
+    return potential, float(np.abs(flux[free]).max(initial=0.0) / max(np.abs(flux[fixed]).max(initial=0.0), 1e-300))
+
+
+def _even_flux(
+    stiffness: csc_array, mesh: TetMesh, pieces: Int, reached: Int, begins: Bool, ends: Bool
+) -> tuple[Float, float]:
+    """The potential of a flux that is even over each end, 0 and 1 in the ends' means, and its residual."""
+    potential, residual = np.zeros(len(mesh.vertices)), 0.0
+    areas = _vertex_areas(mesh)
+    for piece in reached:
+        own = np.flatnonzero(pieces == piece)
+        shares = [np.where(end[own], areas[own], 0.0) for end in (begins, ends)]
+        origin, insertion = (share / share.sum() for share in shares)
+        right = insertion - origin
+        part = stiffness[own][:, own]
+        found = np.concatenate([[0.0], _solved(part[1:][:, 1:], right[1:])])
+        residual = max(residual, float(np.abs(part @ found - right).max() / np.abs(right).max()))
+        low, high = origin @ found, insertion @ found
+        potential[own] = (found - low) / (high - low)
+    return potential, residual
+
+
+def _solved(matrix: csc_array, right: Float) -> Float:
+    solver = splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    found: Float = solver.solve(right)
+    return found
+
+
+def _vertex_areas(mesh: TetMesh) -> Float:
+    """(n,) a third of the area of the boundary's triangles around each vertex, mm²; 0 inside."""
+    boundary = tet_faces(mesh.tets).boundary
+    thirds = np.linalg.norm(area_vectors(TriMesh(mesh.vertices, boundary)), axis=1) / 3.0
+    return np.bincount(boundary.ravel(), np.repeat(thirds, 3), minlength=len(mesh.vertices)).astype(np.float64)
+
+
+def _field(
+    mesh: TetMesh,
+    gradients: Float,
+    volumes: Float,
+    inside: Bool,
+    begins: Bool,
+    ends: Bool,
+    solved: tuple[Float, float],
+) -> FibreField:
+    """Directions along a potential, and how much of the volume has none."""
+    potential, residual = solved
     slopes = np.einsum("kci,kc->ki", gradients, potential[mesh.tets])
     sizes = np.linalg.norm(slopes, axis=1)
     used = inside[mesh.tets[:, 0]]
@@ -108,27 +170,38 @@ def laplace_fibres(mesh: TetMesh, *, origin: TriMesh, insertion: TriMesh, within
         insertion=ends & inside,
         potential=np.where(inside, potential, np.nan),
         directions=directions,
-        residual=float(residual),
+        residual=residual,
         singular_share=float(volumes[singular].sum()) / total,
         left_out_share=float(volumes[~used].sum()) / total,
     )
 
 
 def end_vertices(mesh: TetMesh, origin: TriMesh, insertion: TriMesh, *, within_mm: float) -> tuple[Bool, Bool]:
-    """(n,) which vertices of the boundary belong to each end; one near both belongs to the nearer."""
+    """(n,) which vertices of the boundary belong to each end.
+
+    One near both belongs to the smaller area: a tip that lies on the bone which a muscle holds on to all its length is
+    its end for all that.
+    """
     boundary = tet_faces(mesh.tets).boundary
     outer = np.unique(boundary)
     distances = [nearest_places(mesh.vertices[outer], area).distances for area in (origin, insertion)]
-    nearer = distances[0] <= distances[1]
+    near = [own <= within_mm for own in distances]
+    larger = 0 if _area_mm2(origin) >= _area_mm2(insertion) else 1
+    near[larger] &= ~near[1 - larger]
     found = []
-    for area, own, mine in ((origin, distances[0], nearer), (insertion, distances[1], ~nearer)):
+    for area, mine in zip((origin, insertion), near, strict=True):
         chosen = np.zeros(len(mesh.vertices), dtype=bool)
-        chosen[outer[(own <= within_mm) & mine]] = True
+        chosen[outer[mine]] = True
         if chosen.sum() < 3:
             middle = area.corners().mean(axis=(0, 1))
             chosen[boundary[np.linalg.norm(mesh.vertices[boundary].mean(axis=1) - middle, axis=1).argmin()]] = True
         found.append(chosen)
-    return found[0], found[1] & ~found[0]
+    found[larger] &= ~found[1 - larger]
+    return found[0], found[1]
+
+
+def _area_mm2(surface: TriMesh) -> float:
+    return float(np.linalg.norm(area_vectors(surface), axis=1).sum())
 
 
 def shape_gradients(vertices: Points, tets: Tets) -> Float:

@@ -78,7 +78,7 @@ class MuscleArchitecture:
     """One muscle at rest; lengths in mm, areas in mm², volume in mm³.
 
     ``origin`` and ``insertion`` are bones, empty at a free end. ``pcsa_mm2`` is the volume over the mean fibre length.
-    ``lines_whole`` of ``lines`` streamlines reached both ends.
+    ``lines_whole`` of ``lines`` streamlines reached both ends; ``along_edges_share`` of their length runs along edges.
     """
 
     name: str
@@ -94,6 +94,7 @@ class MuscleArchitecture:
     pcsa_mm2: float
     lines_whole: int
     lines: int
+    along_edges_share: float
     tets: int
     pieces: int
     missed_mm: float
@@ -236,6 +237,8 @@ def measure_at_rest(
         reasons.append(f"{100.0 * field.left_out_share:.2g} % of its volume is in pieces that do not reach both ends")
     if pieces > 1:
         reasons.append(f"its tetrahedra are in {pieces} pieces")
+    if field.even_flux:
+        reasons.append("its flow is driven by an even flux: held potentials leave too much of it without direction")
     return MuscleArchitecture(
         name=ends.muscle,
         origin=ends.origin.bone,
@@ -250,6 +253,7 @@ def measure_at_rest(
         pcsa_mm2=volume / mean,
         lines_whole=int(whole.sum()),
         lines=len(found.points),
+        along_edges_share=float(np.average(found.along_edges, weights=np.maximum(paths, 1e-300))),
         tets=len(field.mesh.tets),
         pieces=pieces,
         missed_mm=missed_mm,

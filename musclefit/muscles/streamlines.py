@@ -1,7 +1,9 @@
 """Streamlines through a muscle's tetrahedra: takes a fibre field, gives polylines from end to end; knows no muscle.
 
 Directions are averaged to the vertices (by volume; on the free surface without their part along its normal) and
-interpolated linearly; a line that meets the free surface slides along it.
+interpolated linearly; a line that meets the free surface slides along it. Where a line gains no potential any more, in
+a corner or a neck of few tetrahedra, it goes on along edges, each to the neighbour with the steepest gain, until it
+runs freely again; how much of its length that is, is told.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from musclefit.compiling import njit
-from musclefit.geometry.arrays import Bool, Float, Int, Points
+from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.tets.topology import tet_faces
 from musclefit.muscles.fibres import FibreField, shape_gradients
@@ -22,13 +24,19 @@ STEPS_PER_EDGE = 4.0
 MOST_STEPS = 20_000
 
 STALLED = 0.05
-"""A line stops where the interpolated directions, of length 1 each, cancel out to less than this."""
+"""A line does not run freely where the interpolated directions, of length 1 each, cancel out to less than this."""
 
-ARRIVED = 0.02
-"""A line that stops within this of an end's potential has arrived: behind it there is nothing but that end."""
+GAIN = 0.02
+"""Nor where it gains less than this share of the potential that its way along the gradient would give."""
 
-RIM = 2
-"""Marks faces at the rim of an end: the potential pulls lines there too, and they have arrived where they stop."""
+PATIENCE = 12
+"""Crossings of tetrahedra in a row without that gain, before it takes an edge."""
+
+ARRIVED = 0.001
+"""A line that gains no more this close to an end's potential has arrived: behind it there is nothing but that end."""
+
+MOST_POINTS = 101
+"""A line of more points is given by as many, evenly spaced."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,10 +49,13 @@ class Streamlines:
         From origin to insertion.
     complete : (s,) bool
         Whether the line reached both ends.
+    along_edges : (s,) float64
+        The share of the line's length that runs along edges.
     """
 
     points: tuple[Points, ...]
     complete: Bool
+    along_edges: Float
 
     def lengths(self) -> Float:
         """(s,) mm."""
@@ -77,14 +88,28 @@ def streamlines(field: FibreField, *, count: int) -> Streamlines:
         ends,
         vertex_directions(field, volumes),
         field.potential,
+        np.where(field.origin, 1, np.where(field.insertion, 2, 0)),
+        *_incident(mesh.tets, len(mesh.vertices)),
     )
-    lines, complete = [], []
+    lines, complete, along = [], [], []
     for seed in seeds:
-        forward, arrived = _traced(*steady, seed, 1.0, step, MOST_STEPS)
-        backward, begun = _traced(*steady, seed, -1.0, step, MOST_STEPS)
-        lines.append(np.concatenate([backward[:0:-1], forward]))
+        forward, arrived, ahead = _traced(*steady, seed, 1.0, step, MOST_STEPS)
+        backward, begun, behind = _traced(*steady, seed, -1.0, step, MOST_STEPS)
+        line = np.concatenate([backward[:0:-1], forward])
+        length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+        lines.append(_thinned(line))
         complete.append(arrived == 2 and begun == 1)
-    return Streamlines(tuple(lines), np.array(complete, dtype=bool))
+        along.append((ahead + behind) / length if length > 0.0 else 0.0)
+    return Streamlines(tuple(lines), np.array(complete, dtype=bool), np.array(along))
+
+
+def _thinned(line: Points) -> Points:
+    """A line by at most `MOST_POINTS` points, its ends among them."""
+    if len(line) <= MOST_POINTS:
+        return line
+    covered = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.linspace(0.0, covered[-1], MOST_POINTS)
+    return np.stack([np.interp(at, covered, line[:, k]) for k in range(3)], axis=1)
 
 
 _ACROSS = np.array([0.61, 0.53, 0.59])
@@ -110,17 +135,13 @@ def vertex_directions(field: FibreField, volumes: Float) -> Points:
 
 
 def _around(field: FibreField) -> tuple[Int, Int]:
-    """For each tet the neighbour opposite each corner (-1: none), and of which end the face there is (1, 2; 0: none).
-
-    Faces of which only some corners are of an end have `RIM` added.
-    """
+    """Opposite each corner of each tet: the neighbour (-1: none), and the end that the face is of (1, 2; 0: none)."""
     tets = field.mesh.tets
     faces = tet_faces(tets)
     neighbours = np.full((len(tets), 4), -1, dtype=np.int64)
     ends = np.zeros((len(tets), 4), dtype=np.int64)
     end_of = np.zeros(len(faces.corners), dtype=np.int64)
     for number, corners in ((1, field.origin[faces.corners]), (2, field.insertion[faces.corners])):
-        end_of[corners.any(axis=1)] = number + RIM
         end_of[corners.all(axis=1)] = number
     for side in (0, 1):
         own, other = faces.tets[:, side], faces.tets[:, 1 - side]
@@ -131,47 +152,95 @@ def _around(field: FibreField) -> tuple[Int, Int]:
     return neighbours, ends
 
 
+def _incident(tets: Tets, count: int) -> tuple[Int, Int]:
+    """The tets around each vertex: those of vertex v are ``second[first[v]:first[v + 1]]``."""
+    order = np.argsort(tets.ravel(), kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(tets.ravel(), minlength=count))])
+    return first.astype(np.int64), (order // 4).astype(np.int64)
+
+
 @njit(cache=True)
-def _traced(vertices, tets, gradients, neighbours, ends, directions, potential, seed, sense, step, most):
-    """One line from the middle of a tet: its points, and the end where it left (0: it got stuck)."""
+def _traced(
+    vertices, tets, gradients, neighbours, ends, directions, potential, end_of, first, around, seed, sense, step, most
+):
+    """One line from a tet's middle: its points, the end that it reached (0: none), and its length along edges."""
     points = np.empty((most + 1, 3))
     place = np.zeros(3)
     for corner in range(4):
         place += 0.25 * vertices[tets[seed, corner]]
     points[0] = place
-    count, tet, left, wall = 1, seed, step, -1
+    count, tet, left, wall, idle, edges = 1, seed, step, -1, 0, 0.0
     arriving = 2 if sense > 0.0 else 1
-    weights, slopes = np.empty(4), np.empty(4)
-    for _ in range(4 * most):
-        if count > most:
-            break
-        total = 0.0
+    weights = np.empty(4)
+    while count < most:
+        if idle > PATIENCE:
+            highest = tets[tet, 0]
+            for corner in range(1, 4):
+                if sense * potential[tets[tet, corner]] > sense * potential[highest]:
+                    highest = tets[tet, corner]
+            reached = 0.0
+            for corner in range(4):
+                weights[corner] = np.sum(gradients[tet, corner] * (place - vertices[tets[tet, (corner + 1) % 4]]))
+                reached += weights[corner] * potential[tets[tet, corner]]
+            if sense * potential[highest] <= sense * reached + 1e-15 and end_of[highest] != arriving:
+                highest = _steepest(vertices, tets, potential, first, around, highest, sense)
+            if highest < 0:
+                height = reached if sense > 0.0 else 1.0 - reached
+                return points[:count], arriving if height > 1.0 - ARRIVED else 0, edges
+            edges += np.linalg.norm(vertices[highest] - place)
+            place = vertices[highest].copy()
+            points[count] = place
+            count += 1
+            if end_of[highest] == arriving:
+                return points[:count], arriving, edges
+            following = _steepest(vertices, tets, potential, first, around, highest, sense)
+            if following < 0:
+                height = potential[highest] if sense > 0.0 else 1.0 - potential[highest]
+                return points[:count], arriving if height > 1.0 - ARRIVED else 0, edges
+            edges += np.linalg.norm(vertices[following] - place)
+            place = vertices[following].copy()
+            points[count] = place
+            count += 1
+            if end_of[following] == arriving:
+                return points[:count], arriving, edges
+            tet, gain = around[first[following]], -np.inf
+            for k in range(first[following], first[following + 1]):
+                mean = 0.0
+                for corner in range(4):
+                    mean += sense * potential[tets[around[k], corner]]
+                if mean > gain:
+                    tet, gain = around[k], mean
+            left, wall, idle = step, -1, 0
+            continue
+        total, height = 0.0, 0.0
         for corner in range(4):
             weights[corner] = max(0.0, np.sum(gradients[tet, corner] * (place - vertices[tets[tet, (corner + 1) % 4]])))
             total += weights[corner]
-        velocity = np.zeros(3)
+        velocity, slope = np.zeros(3), np.zeros(3)
         for corner in range(4):
             weights[corner] /= total
             velocity += sense * weights[corner] * directions[tets[tet, corner]]
-        if wall >= 0:
+            slope += sense * potential[tets[tet, corner]] * gradients[tet, corner]
+        steepness = np.linalg.norm(slope)
+        speed = np.linalg.norm(velocity)
+        if speed < STALLED or np.sum(velocity * slope) < GAIN * speed * steepness:
+            velocity, speed = slope / steepness if steepness > 0.0 else slope, 1.0 if steepness > 0.0 else 0.0
+        if wall >= 0 and speed > 0.0:
             weights[wall] = 0.0
             normal = gradients[tet, wall] / np.linalg.norm(gradients[tet, wall])
-            velocity -= min(0.0, np.sum(velocity * normal)) * normal
-        speed = np.linalg.norm(velocity)
+            velocity = velocity - min(0.0, np.sum(velocity * normal)) * normal
+            speed = np.linalg.norm(velocity)
         if speed < STALLED:
-            height = 0.0
-            for corner in range(4):
-                height += weights[corner] * potential[tets[tet, corner]]
-            near = height > 1.0 - ARRIVED if sense > 0.0 else height < ARRIVED
-            for corner in range(4):
-                near = near or ends[tet, corner] == arriving + RIM
-            return points[:count], arriving if near else 0
-        velocity /= speed
+            idle = PATIENCE + 1
+            continue
+        velocity = velocity / speed
         reach, leaving = left, -1
         for corner in range(4):
-            slopes[corner] = np.sum(gradients[tet, corner] * velocity)
-            if corner != wall and slopes[corner] < -1e-14 and -weights[corner] / slopes[corner] < reach:
-                reach, leaving = -weights[corner] / slopes[corner], corner
+            falling = np.sum(gradients[tet, corner] * velocity)
+            if corner != wall and falling < -1e-14 and -weights[corner] / falling < reach:
+                reach, leaving = -weights[corner] / falling, corner
+        height = np.sum(velocity * slope) * reach
+        idle = 0 if height > GAIN * steepness * reach and reach > 1e-9 * step else idle + 1
         place = place + reach * velocity
         left -= reach
         if leaving < 0:
@@ -185,6 +254,21 @@ def _traced(vertices, tets, gradients, neighbours, ends, directions, potential, 
             continue
         if ends[tet, leaving] == arriving:
             points[count] = place
-            return points[: count + 1], ends[tet, leaving]
+            return points[: count + 1], arriving, edges
         wall = leaving
-    return points[:count], 0
+    return points[:count], 0, edges
+
+
+@njit(cache=True)
+def _steepest(vertices, tets, potential, first, around, vertex, sense):
+    """The neighbour of a vertex to which the potential gains most over the distance; -1 where it gains to none."""
+    best, most = -1, 0.0
+    for k in range(first[vertex], first[vertex + 1]):
+        for corner in range(4):
+            other = tets[around[k], corner]
+            if other != vertex:
+                gain = sense * (potential[other] - potential[vertex])
+                over = gain / np.linalg.norm(vertices[other] - vertices[vertex])
+                if over > most:
+                    best, most = other, over
+    return best

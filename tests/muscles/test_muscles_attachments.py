@@ -60,6 +60,22 @@ def test_with_a_distance_of_just_more_than_the_gap_the_area_is_exact() -> None:
         np.testing.assert_allclose(np.abs(at.feet - at.surface.vertices), [[GAP, 0, 0]] * len(at.feet), atol=1e-9)
 
 
+def test_the_far_side_of_a_thin_sheet_is_no_attachment() -> None:
+    """A sheet of 0.5 mm that lies on a bone: of its two sides, both close, the one that faces the bone holds on."""
+    anatomy = Anatomy(
+        (
+            Tissue("sheet", TissueKind.MUSCLE, box((0, 0, 0), (20, 8, 0.5))),
+            Tissue("bone", TissueKind.BONE, box((-5, -5, -9), (12, 15, -GAP), edge=6.0)),
+        ),
+        "test",
+    )
+    (ends,) = find_ends(anatomy, within_mm=GAP + 0.6)
+    at = ends.origin if ends.origin.bone else ends.insertion
+    assert at.bone == "bone"
+    assert 12.0 * 8.0 <= at.area_mm2 <= 1.25 * 13.0 * 8.0
+    assert at.surface.corners()[:, :, 2].mean(axis=1).max() < 0.5 - 1e-9
+
+
 def test_the_origin_is_the_end_that_moves_less() -> None:
     (ends,) = find_ends(limb(), within_mm=0.5, travel={"proximal": 5.0, "distal": 0.0, "passed": 0.0})
     assert (ends.origin.bone, ends.insertion.bone) == ("distal", "proximal")

@@ -16,9 +16,9 @@ from musclefit.flow.rules import rule_for
 from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.tets.topology import tet_faces
-from musclefit.muscles.fibres import laplace_fibres
+from musclefit.muscles.fibres import end_vertices, laplace_fibres
 from musclefit.muscles.measures import carried_directions
-from musclefit.muscles.streamlines import streamlines
+from musclefit.muscles.streamlines import MOST_POINTS, streamlines
 from musclefit.rig.handles import StraightPath
 from musclefit.vocabulary import StepKind, StepRule
 
@@ -77,6 +77,63 @@ def test_fibres_of_a_ring_are_arcs() -> None:
     assert lines.complete.all()
     radii = np.array([np.linalg.norm(line[len(line) // 2, :2]) for line in lines.points])
     np.testing.assert_allclose(lines.lengths(), radii * np.pi / 2.0, rtol=0.02)
+
+
+def test_a_muscle_that_holds_on_all_along_has_fibres_by_an_even_flux() -> None:
+    """In through the whole floor, out through one end: the exact potential is that of (x² - (h - z)²) / 2."""
+    mesh = bar((40, 2, 4), warp=lambda p: p * [1.0, 1.0, 0.5])
+    low = mesh.vertices.min(axis=0)
+    boundary = tet_faces(mesh.tets).boundary
+    floor = TriMesh(mesh.vertices, boundary[(np.abs(mesh.vertices[boundary][:, :, 2] - low[2]) < 1e-9).all(axis=1)])
+    _, end = ends_of(mesh, mesh.vertices)
+    field = laplace_fibres(mesh, origin=floor, insertion=end, within_mm=1e-6)
+    assert field.even_flux
+    assert field.residual < 1e-10
+    assert field.singular_share < 0.1
+    x, _, z = (mesh.vertices[mesh.tets].mean(axis=1) - low).T
+    exact = np.stack([x, np.zeros(len(x)), 2.0 - z], axis=1)
+    exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    inside = x < 38.0  # at the last cells the floor's vertices belong to the end
+    cosines = np.einsum("ki,ki->k", field.directions, exact)[inside]
+    assert np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).mean() < 3.0
+    lines = streamlines(field, count=100)
+    assert lines.complete.all()
+    assert lines.along_edges.mean() < 0.05
+
+
+@pytest.mark.parametrize("waist", [0.5, 0.3])
+def test_lines_run_whole_through_a_neck_of_bad_tetrahedra(waist: float) -> None:
+    rest = bar((16, 3, 3)).vertices
+    rng = np.random.default_rng(3)
+    along = (rest[:, 0] - rest[:, 0].mean()) / np.ptp(rest[:, 0])
+    thin = 1.0 - (1.0 - waist) * np.exp(-((along / 0.1) ** 2))
+    noise = 0.15 * rng.uniform(-1.0, 1.0, rest.shape)
+    noise[np.abs(along) > 0.49] = 0.0
+    middle = rest.mean(axis=0)
+
+    def necked(points: Points) -> Points:
+        return middle + (points - middle + noise) * np.stack([np.ones(len(points)), thin, thin], axis=1)
+
+    mesh = bar((16, 3, 3), warp=necked)
+    flipped = np.linalg.det(mesh.vertices[mesh.tets[:, 1:]] - mesh.vertices[mesh.tets[:, :1]]) <= 0.0
+    assert not flipped.any()
+    origin, insertion = ends_of(mesh, rest)
+    lines = streamlines(laplace_fibres(mesh, origin=origin, insertion=insertion, within_mm=1e-6), count=200)
+    assert lines.complete.all()
+    assert lines.lengths().min() > 0.99 * np.ptp(rest[:, 0])
+    assert lines.along_edges.max() < 0.5
+    assert max(map(len, lines.points)) <= MOST_POINTS
+
+
+def test_a_tip_on_the_bone_all_along_is_still_the_other_end() -> None:
+    mesh = bar((6, 3, 3))
+    boundary = tet_faces(mesh.tets).boundary
+    origin, insertion = TriMesh(mesh.vertices, boundary), ends_of(mesh, mesh.vertices)[1]
+    begins, ends = end_vertices(mesh, origin, insertion, within_mm=1e-6)
+    np.testing.assert_array_equal(ends, mesh.vertices[:, 0] == mesh.vertices[:, 0].max())
+    assert not (begins & ends).any()
+    turned = end_vertices(mesh, insertion, origin, within_mm=1e-6)
+    np.testing.assert_array_equal(turned[0], ends)
 
 
 def test_a_muscle_whose_ends_no_piece_joins_is_refused() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from musclefit.geometry.arrays import Float, Points
 
 
 def vtk_lines(lines: Sequence[Points], *, title: str, line_data: Mapping[str, Float]) -> bytes:
-    """Polylines with numbers for each line, as text of doubles.
+    """Polylines with numbers for each line, binary, of doubles.
 
     Parameters
     ----------
@@ -22,19 +21,23 @@ def vtk_lines(lines: Sequence[Points], *, title: str, line_data: Mapping[str, Fl
     points = np.concatenate(lines) if lines else np.zeros((0, 3))
     ends = np.cumsum([0, *(len(line) for line in lines)])
     said = " ".join(title.encode("ascii", "backslashreplace").decode("ascii").split())[:200]
+    counts = np.diff(ends)
+    starts = np.cumsum([0, *(counts + 1)])[:-1]
+    cells = np.empty(len(points) + len(lines), dtype=">i4")
+    cells[np.setdiff1d(np.arange(len(cells)), starts)] = np.arange(len(points))
+    cells[starts] = counts
     parts = [
-        f"# vtk DataFile Version 3.0\n{said}\nASCII\nDATASET POLYDATA",
-        f"POINTS {len(points)} double",
-        _rows(points),
+        f"# vtk DataFile Version 3.0\n{said}\nBINARY\nDATASET POLYDATA\nPOINTS {len(points)} double\n".encode("ascii"),
+        _big_endian(points),
+        f"LINES {len(lines)} {len(cells)}\n".encode("ascii"),
+        cells.tobytes() + b"\n",
     ]
-    parts.append(f"LINES {len(lines)} {len(lines) + len(points)}")
-    parts += [" ".join(map(str, [b - a, *range(a, b)])) for a, b in pairwise(ends)]
     if line_data:
-        parts.append(f"CELL_DATA {len(lines)}")
+        parts.append(f"CELL_DATA {len(lines)}\n".encode("ascii"))
     for name, values in line_data.items():
-        parts += [f"SCALARS {name} double 1\nLOOKUP_TABLE default", _rows(values)]
-    return ("\n".join(parts) + "\n").encode("ascii")
+        parts += [f"SCALARS {name} double 1\nLOOKUP_TABLE default\n".encode("ascii"), _big_endian(values)]
+    return b"".join(parts)
 
 
-def _rows(values: Float) -> str:
-    return "\n".join(" ".join(repr(float(x)) for x in np.atleast_1d(row)) for row in values)
+def _big_endian(values: Float) -> bytes:
+    return np.ascontiguousarray(values, dtype=">f8").tobytes() + b"\n"

@@ -25,10 +25,6 @@ from musclefit.fields.evaluation import bricks
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
-TIGHTER = 0.3
-"""What is left of a quick enclosure's radius, at best, when a base field's gradient is enclosed again with more effort.
-"""
-
 ROUNDING = 1e-13
 """Of computed gradients and eigenvalues, in units of the sizes that they are made of."""
 
@@ -93,28 +89,29 @@ class Nearness:
         """The same at (N, 3) points x that stand for ``to_rest @ x + shift``; gradients are by x."""
         found, slopes = np.empty(len(points)), np.empty((len(points), 3))
         where = np.ascontiguousarray(points, dtype=np.float64)
-        lattice = self.low, self.spacing_mm, self.bricks, self.values
-        bricks.moved_values_at(*lattice, to_rest, shift, where, found, slopes)
+        bricks.moved_values_at(*self._lattice, to_rest, shift, where, found, slopes)
         whole = self.reach_mm + self.depth_mm
         return self.reach_mm - whole * found, -whole * slopes
 
     def ranges(self, centres: Points, half_widths: Float) -> Float:
-        """(B, 4) over boxes: lowest and highest distance, mm, largest slope, and how far it gets from the centre's."""
-        found = np.empty((len(centres), 4))
+        """(B, 2) lowest and highest distance over boxes, mm."""
+        found = np.empty((len(centres), 2))
+        bricks.value_ranges(*self._lattice, self._of_bricks, *_contiguous(centres, half_widths), found)
+        highest_first: Float = self.reach_mm - (self.reach_mm + self.depth_mm) * found
+        return highest_first[:, ::-1]
+
+    def slope_ranges(self, centres: Points, half_widths: Float, slopes: Points) -> Float:
+        """(B, 2) over boxes: the largest slope, and how far slopes get from the centre's (B, 3)."""
+        found = np.empty((len(centres), 2))
         whole = self.reach_mm + self.depth_mm
-        bricks.value_ranges(
-            self.low,
-            self.spacing_mm,
-            self.bricks,
-            self.values,
-            self._of_bricks,
-            np.ascontiguousarray(centres),
-            np.ascontiguousarray(half_widths),
-            self.at(centres)[1] / -whole,
-            found,
-        )
-        lowest, highest = self.reach_mm - whole * found[:, 1], self.reach_mm - whole * found[:, 0]
-        return np.stack([lowest, highest, whole * found[:, 2], whole * found[:, 3]], axis=1)
+        places = _contiguous(centres, half_widths, slopes / -whole)
+        bricks.slope_ranges(*self._lattice, self._of_bricks, *places, found)
+        steep: Float = whole * found
+        return steep
+
+    @property
+    def _lattice(self) -> tuple[Float, float, NDArray[np.int32], NDArray[np.uint16]]:
+        return self.low, self.spacing_mm, self.bricks, self.values
 
     @cached_property
     def _of_bricks(self) -> NDArray[np.int64]:
@@ -207,16 +204,31 @@ class Lock:
         return near, found[near], slopes[near]
 
     def over(self, centres: Points, half_widths: Float) -> Jets:
-        """The distances over boxes."""
-        middles = centres @ self.to_rest.T + self.shift
+        """The distances over boxes; nothing is known of their slopes but at the centres (see `with_slopes`)."""
+        ranges = self.nearness.ranges(*self._at_rest(centres, half_widths))
+        value, slope = self.distances(centres)
+        unknown = np.full(len(centres), np.inf)
+        return Jets(value, slope, ranges[:, 0], ranges[:, 1], unknown, unknown.copy()).widened()
+
+    def with_slopes(self, jets: Jets, some: Int, centres: Points, half_widths: Float) -> Jets:
+        """The distances over boxes, with bounds of their slopes in some of them."""
+        here, half = centres[some], half_widths[some]
+        part, turned = jets.only(some), np.linalg.norm(self.to_rest, 2) * (1.0 + 1e-12)
+        at_rest = part.slope @ np.linalg.inv(self.to_rest)
+        ranges = turned * self.nearness.slope_ranges(*self._at_rest(here, half), at_rest)
+        known = replace(part, steep=ranges[:, 0], loose=ranges[:, 1])
+        return jets.put(some, known.within(np.linalg.norm(half, axis=1) * (1.0 + 1e-12)))
+
+    def may_count(self, distance: Jets) -> Bool:
+        """(B,) boxes in which its weight may be more than 0."""
+        near: Bool = distance.low < self.nearness.surface_mm + self.fade.over_mm
+        return near
+
+    def _at_rest(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
+        """Centres and half widths of boxes around where boxes are on the bone at rest."""
         size = np.abs(centres).max(axis=1, initial=0.0)[:, None] + np.abs(self.shift).max()
         halves = half_widths @ np.abs(self.to_rest).T * (1.0 + 1e-14) + 1e-14 * size
-        ranges = self.nearness.ranges(middles, halves)
-        stretch = float(np.linalg.norm(self.to_rest, 2)) * (1.0 + 1e-12)
-        jets = Jets(
-            *self.distances(centres), ranges[:, 0], ranges[:, 1], stretch * ranges[:, 2], stretch * ranges[:, 3]
-        )
-        return jets.within(np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)).widened()
+        return centres @ self.to_rest.T + self.shift, halves
 
     def scaled(self, factor: float) -> Self:
         """With a displacement ``factor`` times as large."""
@@ -306,13 +318,6 @@ class LockedField:
             part = boxes.only(mixed)
             bare = self._bare(part, quick=True)
             found, values = self._strains(part, bare)
-            short = np.flatnonzero(_outside(found, enough))
-            if short.size and isinstance(base, QuicklyBounded):
-                # More effort is worth it where it may suffice; other boxes are cut.
-                hopeful = replace(bare.only(short), spread=TIGHTER * bare.spread[short])
-                worth = short[~_outside(self._strains(part.only(short), hopeful)[0], enough)]
-                if worth.size:
-                    found[worth] = self._strains(part.only(worth), self._bare(part.only(worth)))[0]
             wide = np.linalg.norm(part.half_widths, axis=1) > min(lock.nearness.spacing_mm for lock in self.locks)
             short = np.flatnonzero(wide & _outside(found, enough))
             if short.size:
@@ -386,20 +391,40 @@ class LockedField:
         return held
 
     def _boxes(self, centres: Points, half_widths: Float) -> _Boxes:
-        found = [lock.over(centres, half_widths) for lock in self.locks]
+        count = len(centres)
+        found = self._distances(centres, half_widths)
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)
         weights = []
-        for k, (lock, distance) in enumerate(zip(self.locks, found, strict=True)):
+        for k, (lock, own) in enumerate(zip(self.locks, found, strict=True)):
+            near = np.flatnonzero(lock.may_count(own))
+            distance = own.only(near)
             jets = distance.risen(lock.nearness.surface_mm, lock.fade.over_mm).complement()
             for j, other in enumerate(found):
                 if j != k:
-                    jets = jets.times(other.minus(distance, reach).risen(0.0, self._apart(k, j)))
-            weights.append(jets)
-        bare, own = np.ones(len(centres), dtype=bool), np.full(len(centres), -1)
+                    farther = other.only(near).minus(distance, reach[near])
+                    jets = jets.times(farther.risen(0.0, self._apart(k, j)))
+            weights.append(jets.among(near, count))
+        bare, own_lock = np.ones(count, dtype=bool), np.full(count, -1)
         for k, jets in enumerate(weights):
             bare &= jets.high == 0.0
-            own[jets.low == 1.0] = k
-        return _Boxes(centres, half_widths, tuple(weights), bare, own)
+            own_lock[jets.low == 1.0] = k
+        return _Boxes(centres, half_widths, tuple(weights), bare, own_lock)
+
+    def _distances(self, centres: Points, half_widths: Float) -> list[Jets]:
+        """From every lock's bone over boxes; slopes are bounded where a weight may be neither 0 nor 1."""
+        found = [lock.over(centres, half_widths) for lock in self.locks]
+        asked = np.zeros((len(found), len(centres)), dtype=bool)
+        for k, (lock, own) in enumerate(zip(self.locks, found, strict=True)):
+            near = lock.may_count(own)
+            asked[k] |= near & (own.high > lock.nearness.surface_mm)
+            for j, other in enumerate(found):
+                if j != k:
+                    close = near & (other.low - own.high < self._apart(k, j))
+                    asked[k] |= close
+                    asked[j] |= close
+        for k, lock in enumerate(self.locks):
+            found[k] = lock.with_slopes(found[k], np.flatnonzero(asked[k]), centres, half_widths)
+        return found
 
     def _bare(self, boxes: _Boxes, *, quick: bool = False) -> _Bare:
         """What is proved of the base field over boxes that see it."""
@@ -484,6 +509,10 @@ class _Held:
     places: Int
     weights: Float
     slopes: Points
+
+
+def _contiguous(*arrays: Float) -> tuple[Float, ...]:
+    return tuple(np.ascontiguousarray(array) for array in arrays)
 
 
 def _whole(held: Sequence[_Held], count: int) -> Bool:

@@ -229,8 +229,8 @@ def _packed(of: Nearness) -> Nearness:
 
 def _held(of: Nearness, samples: Points, gap: float) -> Nearness:
     """With the largest distance on the surface that is proved from samples of it and the gap between them."""
-    distances, _ = of.at(samples)
-    steep = of.ranges(samples, np.full_like(samples, gap))[:, 2]
+    distances, slopes = of.at(samples)
+    steep = of.slope_ranges(samples, np.full_like(samples, gap), slopes)[:, 0]
     return replace(of, surface_mm=float((distances + steep * gap).max()) + 1e-6)
 
 

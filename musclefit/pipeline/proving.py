@@ -31,7 +31,7 @@ PROOFS = 6
 PAIRS_SHARE = 0.95
 """Of what a budget has left where no rule is shown to hold: what goes to a proof by pairs."""
 
-MARGIN_SHARE = 0.25
+MARGIN_SHARE = 0.1
 """A certified margin is at least this share of the sampled one: a larger one would take many more boxes to prove."""
 
 

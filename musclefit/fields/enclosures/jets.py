@@ -93,7 +93,7 @@ class Jets:
     def within(self, reach: Float) -> Self:
         """With values as near to the centre's as their slopes say; no place is farther than ``reach`` (B,) from it."""
         length = np.minimum(self.steep, np.linalg.norm(self.slope, axis=1) + self.off)
-        around = np.where(np.isfinite(length), length * reach, np.inf) * SLACK + ROUNDING
+        around = _where(np.isfinite(length), length, reach, otherwise=np.inf) * SLACK + ROUNDING
         return replace(
             self, low=np.maximum(self.low, self.value - around), high=np.minimum(self.high, self.value + around)
         )
@@ -116,11 +116,11 @@ class Jets:
         top = np.where((first < 0.5) & (last > 0.5), 1.5, rates.max(axis=0))
         rises: Bool = (last > 0.0) & (first < 1.0)
         apart = np.maximum(top - rate, rate - rates.min(axis=0))
-        steep = np.where(rises, top * self.steep / over, 0.0)
+        steep = _where(rises, top / over, self.steep)
         length = np.linalg.norm(self.slope, axis=1)
         along = self.slope / np.where(length > 0.0, length, 1.0)[:, None]
         turn = Turn(along, np.where(rises, apart * length / over, 0.0) * SLACK)
-        loose = np.where(rises, top * self.loose / over, 0.0) * SLACK
+        loose = _where(rises, top / over, self.loose) * SLACK
         return Jets(
             _step(t), (rate / over)[:, None] * self.slope, _step(first), _step(last), steep * SLACK, loose, (turn,)
         )
@@ -159,6 +159,47 @@ class Jets:
             self.loose[kept],
             turns,
         )
+
+    def put(self, places: Int, others: Jets) -> Jets:
+        """With those of some boxes in place of its own; both without turns."""
+
+        def joined(own: Float, theirs: Float) -> Float:
+            whole = own.copy()
+            whole[places] = theirs
+            return whole
+
+        return Jets(
+            joined(self.value, others.value),
+            joined(self.slope, others.slope),
+            joined(self.low, others.low),
+            joined(self.high, others.high),
+            joined(self.steep, others.steep),
+            joined(self.loose, others.loose),
+        )
+
+    def among(self, places: Int, count: int) -> Jets:
+        """As those of some of ``count`` boxes, and nothing at all over the others."""
+
+        def spread(array: Float) -> Float:
+            whole = np.zeros((count, *array.shape[1:]))
+            whole[places] = array
+            return whole
+
+        return Jets(
+            spread(self.value),
+            spread(self.slope),
+            spread(self.low),
+            spread(self.high),
+            spread(self.steep),
+            spread(self.loose),
+            tuple(Turn(spread(turn.along), spread(turn.most)) for turn in self.turns),
+        )
+
+
+def _where(some: Bool, a: Float, b: Float, *, otherwise: float = 0.0) -> Float:
+    """Products in some places only: elsewhere one of the two may be infinite."""
+    product: Float = np.multiply(a, b, where=some, out=np.full(np.shape(b), otherwise))
+    return product
 
 
 def _step(t: Float) -> Float:

@@ -146,110 +146,165 @@ def brick_ranges(begin, end, values, out):
         out[row, 0], out[row, 1], out[row, 2], out[row, 3], out[row, 4] = least, most, x, y, z
 
 
-@njit(inline="always")
-def _value(bricks, values, i, j, k):
-    """The value of one node; 0 outside the lattice."""
-    if not (0 <= i < bricks.shape[0] * SIDE and 0 <= j < bricks.shape[1] * SIDE and 0 <= k < bricks.shape[2] * SIDE):
-        return 0
-    row = bricks[i // SIDE, j // SIDE, k // SIDE]
-    if row == -1:
-        return 0
-    if row == -2:
-        return 65535
-    return np.int64(values[row, ((i % SIDE + 1) * ACROSS + j % SIDE + 1) * ACROSS + k % SIDE + 1])
+@njit(cache=True)
+def _nodes_seen(low, h, size, centre, half, first, last):
+    """Write the first and last node (3,) that a box sees; the nodes along its longest side, 0 beside the lattice."""
+    wide, beside = 0, False
+    for axis in range(3):
+        slack = 1e-12 * (abs(centre[axis]) + abs(low[axis]) + half[axis]) / h + 1e-12
+        u = (centre[axis] - half[axis] - low[axis]) / h - slack
+        v = (centre[axis] + half[axis] - low[axis]) / h + slack
+        nodes = size[axis] * SIDE
+        if not (v >= -0.5 and u <= nodes - 0.5):
+            beside = True
+        u, v = min(max(u, -2.0), nodes + 2.0), min(max(v, -2.0), nodes + 2.0)
+        first[axis], last[axis] = int(np.floor(u + 0.5)) - 1, int(np.floor(v + 0.5)) + 1
+        wide = max(wide, last[axis] - first[axis] + 1)
+    return 0 if beside and np.isfinite(centre.sum() + half.sum()) else wide
+
+
+@njit(cache=True)
+def _gathered(bricks, values, first, last, here):
+    """Write the values of nodes from the first to the last (3,) into (DIRECT, DIRECT, DIRECT); 0 beside the lattice."""
+    for i in range(first[0], last[0] + 1):
+        for j in range(first[1], last[1] + 1):
+            to = here[i - first[0], j - first[1]]
+            within = 0 <= i < bricks.shape[0] * SIDE and 0 <= j < bricks.shape[1] * SIDE
+            k = first[2]
+            while k <= last[2]:
+                end = min(last[2] + 1, k - k % SIDE + SIDE)  # of this brick
+                value, row = 0, -1
+                if within and 0 <= k < bricks.shape[2] * SIDE:
+                    row = bricks[i // SIDE, j // SIDE, k // SIDE]
+                    if row == -2:
+                        value = 65535
+                if row < 0:
+                    for at in range(k, end):
+                        to[at - first[2]] = value
+                else:
+                    start = ((i % SIDE + 1) * ACROSS + j % SIDE + 1) * ACROSS + k % SIDE + 1
+                    for at in range(k, end):
+                        to[at - first[2]] = values[row, start + at - k]
+                k = end
+
+
+@njit(cache=True)
+def _over_bricks(bricks, ranges, first, last, highs):
+    """Lowest and highest value of the bricks that nodes lie in; write the largest differences (3,)."""
+    least, most = np.int64(65535), np.int64(0)
+    highs[:] = 0.0
+    for a in range(max(first[0], 0) // SIDE, min(last[0] // SIDE, bricks.shape[0] - 1) + 1):
+        for b in range(max(first[1], 0) // SIDE, min(last[1] // SIDE, bricks.shape[1] - 1) + 1):
+            for c in range(max(first[2], 0) // SIDE, min(last[2] // SIDE, bricks.shape[2] - 1) + 1):
+                row = bricks[a, b, c]
+                if row == -1:
+                    least = np.int64(0)
+                elif row == -2:
+                    most = np.int64(65535)
+                else:
+                    least, most = min(least, ranges[row, 0]), max(most, ranges[row, 1])
+                    for axis in range(3):
+                        highs[axis] = max(highs[axis], 1.0 * ranges[row, 2 + axis])
+    for axis in range(3):
+        if first[axis] < 0 or last[axis] >= bricks.shape[axis] * SIDE:
+            least = np.int64(0)
+    return least, most
 
 
 @threaded(over="centres", least=64)
-def value_ranges(begin, end, low, h, bricks, values, ranges, centres, half_widths, gradients, out):
-    """Proved ranges over boxes of centres and half widths (B, 3), mm, in the lattice's own frame.
+def value_ranges(begin, end, low, h, bricks, values, ranges, centres, half_widths, out):
+    """Write the proved lowest and highest sum (B, 2) over boxes of centres and half widths (B, 3), mm.
 
-    ``ranges`` is what `brick_ranges` gives, and ``gradients`` (B, 3) are those at the centres. Writes
-    (B, 4): lowest and highest sum, largest length of the gradient, and how far it gets from that at the centre.
+    Boxes are in the lattice's own frame; ``ranges`` is what `brick_ranges` gives.
+    """
+    first, last, highs = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3)
+    here = np.zeros((DIRECT, DIRECT, DIRECT), np.int32)
+    for box in range(begin, end):
+        wide = _nodes_seen(low, h, bricks.shape, centres[box], half_widths[box], first, last)
+        if wide == 0:
+            out[box, 0] = out[box, 1] = 0.0
+            continue
+        least, most = _over_bricks(bricks, ranges, first, last, highs)
+        if wide <= DIRECT and least < most:
+            _gathered(bricks, values, first, last, here)
+            least, most = np.int64(65535), np.int64(0)
+            for i in range(last[0] - first[0] + 1):
+                for j in range(last[1] - first[1] + 1):
+                    for k in range(last[2] - first[2] + 1):
+                        v = here[i, j, k]
+                        least, most = min(least, v), max(most, v)
+        out[box, 0], out[box, 1] = least / 65535.0, most / 65535.0
+
+
+@njit(cache=True)
+def _differences(here, m, lows, highs):
+    """Write the extreme differences (3,) along each axis of m (3,) nodes; the sum of the squared second ones, at most.
+
+    Each entry of the second derivatives is a mean of the second differences of its kind.
+    """
+    lows[:], highs[:] = 1e9, -1e9
+    xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0
+    for i in range(m[0]):
+        for j in range(m[1]):
+            for k in range(m[2]):
+                v = here[i, j, k]
+                x, y, z = 0, 0, 0
+                if i < m[0] - 1:
+                    x = here[i + 1, j, k] - v
+                    lows[0], highs[0] = min(lows[0], x), max(highs[0], x)
+                if j < m[1] - 1:
+                    y = here[i, j + 1, k] - v
+                    lows[1], highs[1] = min(lows[1], y), max(highs[1], y)
+                if k < m[2] - 1:
+                    z = here[i, j, k + 1] - v
+                    lows[2], highs[2] = min(lows[2], z), max(highs[2], z)
+                if i < m[0] - 2:
+                    xx = max(xx, abs(here[i + 2, j, k] - here[i + 1, j, k] - x))
+                if j < m[1] - 2:
+                    yy = max(yy, abs(here[i, j + 2, k] - here[i, j + 1, k] - y))
+                if k < m[2] - 2:
+                    zz = max(zz, abs(here[i, j, k + 2] - here[i, j, k + 1] - z))
+                if i < m[0] - 1 and j < m[1] - 1:
+                    xy = max(xy, abs(here[i + 1, j + 1, k] - here[i, j + 1, k] - x))
+                if i < m[0] - 1 and k < m[2] - 1:
+                    xz = max(xz, abs(here[i + 1, j, k + 1] - here[i, j, k + 1] - x))
+                if j < m[1] - 1 and k < m[2] - 1:
+                    yz = max(yz, abs(here[i, j + 1, k + 1] - here[i, j, k + 1] - y))
+    return 1.0 * xx * xx + 1.0 * yy * yy + 1.0 * zz * zz + 2.0 * (1.0 * xy * xy + 1.0 * xz * xz + 1.0 * yz * yz)
+
+
+@threaded(over="centres", least=64)
+def slope_ranges(begin, end, low, h, bricks, values, ranges, centres, half_widths, gradients, out):
+    """Write proved (B, 2) over boxes as `value_ranges`: the longest gradient, and how far it gets from the centre's.
+
+    ``gradients`` (B, 3) are those at the centres, per mm as what is written.
     """
     top = 1.0 + 1e-12
+    first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    m, lows, highs = np.zeros(3, np.int64), np.zeros(3), np.zeros(3)
+    here = np.zeros((DIRECT, DIRECT, DIRECT), np.int32)
     for box in range(begin, end):
-        first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)
-        wide, beside, reach = 0, False, 0.0
-        for axis in range(3):
-            slack = 1e-12 * (abs(centres[box, axis]) + abs(low[axis]) + half_widths[box, axis]) / h + 1e-12
-            u = (centres[box, axis] - half_widths[box, axis] - low[axis]) / h - slack
-            v = (centres[box, axis] + half_widths[box, axis] - low[axis]) / h + slack
-            size = bricks.shape[axis] * SIDE
-            if not (v >= -0.5 and u <= size - 0.5):
-                beside = True
-            u, v = min(max(u, -2.0), size + 2.0), min(max(v, -2.0), size + 2.0)
-            first[axis], last[axis] = int(np.floor(u + 0.5)) - 1, int(np.floor(v + 0.5)) + 1
-            wide = max(wide, last[axis] - first[axis] + 1)
-            reach += half_widths[box, axis] * half_widths[box, axis]
-        if beside and np.isfinite(centres[box].sum() + half_widths[box].sum()):
-            out[box, 0] = out[box, 1] = out[box, 2] = out[box, 3] = 0.0
+        wide = _nodes_seen(low, h, bricks.shape, centres[box], half_widths[box], first, last)
+        if wide == 0:
+            out[box, 0] = out[box, 1] = 0.0
             continue
-        least, most = np.int64(65535), np.int64(0)
-        lows, highs = np.zeros(3), np.zeros(3)
         bend = np.inf
         if wide <= DIRECT:
-            lows[:], highs[:] = 1e9, -1e9
-            xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0
-            for i in range(first[0], last[0] + 1):
-                for j in range(first[1], last[1] + 1):
-                    for k in range(first[2], last[2] + 1):
-                        v = _value(bricks, values, i, j, k)
-                        least, most = min(least, v), max(most, v)
-            if least == most:
-                lows[:], highs[:], bend = 0.0, 0.0, 0.0
-            else:
-                for i in range(first[0], last[0] + 1):
-                    for j in range(first[1], last[1] + 1):
-                        for k in range(first[2], last[2] + 1):
-                            v = _value(bricks, values, i, j, k)
-                            a, b, c = np.int64(0), np.int64(0), np.int64(0)
-                            if i < last[0]:
-                                a = _value(bricks, values, i + 1, j, k)
-                                lows[0], highs[0] = min(lows[0], a - v), max(highs[0], a - v)
-                            if j < last[1]:
-                                b = _value(bricks, values, i, j + 1, k)
-                                lows[1], highs[1] = min(lows[1], b - v), max(highs[1], b - v)
-                            if k < last[2]:
-                                c = _value(bricks, values, i, j, k + 1)
-                                lows[2], highs[2] = min(lows[2], c - v), max(highs[2], c - v)
-                            if i < last[0] - 1:
-                                xx = max(xx, abs(_value(bricks, values, i + 2, j, k) - 2 * a + v))
-                            if j < last[1] - 1:
-                                yy = max(yy, abs(_value(bricks, values, i, j + 2, k) - 2 * b + v))
-                            if k < last[2] - 1:
-                                zz = max(zz, abs(_value(bricks, values, i, j, k + 2) - 2 * c + v))
-                            if i < last[0] and j < last[1]:
-                                xy = max(xy, abs(_value(bricks, values, i + 1, j + 1, k) - a - b + v))
-                            if i < last[0] and k < last[2]:
-                                xz = max(xz, abs(_value(bricks, values, i + 1, j, k + 1) - a - c + v))
-                            if j < last[1] and k < last[2]:
-                                yz = max(yz, abs(_value(bricks, values, i, j + 1, k + 1) - b - c + v))
-                squares = 1.0 * xx * xx + 1.0 * yy * yy + 1.0 * zz * zz
-                squares += 2.0 * (1.0 * xy * xy + 1.0 * xz * xz + 1.0 * yz * yz)
-                bend = np.sqrt(squares) / (65535.0 * h * h) * np.sqrt(reach)
+            _gathered(bricks, values, first, last, here)
+            for axis in range(3):
+                m[axis] = last[axis] - first[axis] + 1
+            squares = _differences(here, m, lows, highs)
+            reach = np.sqrt((half_widths[box] ** 2).sum())
+            bend = np.sqrt(squares) / (65535.0 * h * h) * reach
         else:
-            for a in range(max(first[0], 0) // SIDE, min(last[0] // SIDE, bricks.shape[0] - 1) + 1):
-                for b in range(max(first[1], 0) // SIDE, min(last[1] // SIDE, bricks.shape[1] - 1) + 1):
-                    for c in range(max(first[2], 0) // SIDE, min(last[2] // SIDE, bricks.shape[2] - 1) + 1):
-                        row = bricks[a, b, c]
-                        if row == -1:
-                            least = np.int64(0)
-                        elif row == -2:
-                            most = np.int64(65535)
-                        else:
-                            least, most = min(least, ranges[row, 0]), max(most, ranges[row, 1])
-                            for axis in range(3):
-                                highs[axis] = max(highs[axis], 1.0 * ranges[row, 2 + axis])
+            _over_bricks(bricks, ranges, first, last, highs)
             for axis in range(3):
                 lows[axis] = -highs[axis]
-                if first[axis] < 0 or last[axis] >= bricks.shape[axis] * SIDE:
-                    least = np.int64(0)
         steepest, off = 0.0, 0.0
         for axis in range(3):
             a, b = lows[axis] / (65535.0 * h), highs[axis] / (65535.0 * h)
             steepest += max(a * a, b * b)
             more = max(b - gradients[box, axis], gradients[box, axis] - a)
             off += more * more
-        out[box, 0], out[box, 1] = least / 65535.0, most / 65535.0
-        out[box, 2] = np.sqrt(steepest) * top
-        out[box, 3] = min(np.sqrt(off), bend) * top + 1e-13 / h
+        out[box, 0] = np.sqrt(steepest) * top
+        out[box, 1] = min(np.sqrt(off), bend) * top + 1e-13 / h

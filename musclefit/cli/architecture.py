@@ -44,6 +44,14 @@ def architecture(
         Parameter(name="--muscles", help="Name or shell-style pattern of the muscles to look at. May be given again."),
     ] = (),
     rest: Annotated[bool, Parameter(name="--rest", negative="", help="Stay at rest: nothing is deformed.")] = False,
+    curves: Annotated[
+        bool,
+        Parameter(
+            name="--curves",
+            negative="",
+            help="Measure fibres and moment arms after each stretch of the way too: curves.csv.",
+        ),
+    ] = False,
     set: SetOption = (),  # noqa: A002 (the option's name)
     quiet: QuietOption = False,
     json: JsonOption = False,
@@ -61,6 +69,7 @@ def architecture(
             within_mm=within_mm,
             muscles=muscles,
             deform=not rest,
+            curves=curves,
             progress=stages,
         )
     if json:

@@ -36,11 +36,14 @@ from musclefit.muscles.measures import (
     measure_carried,
 )
 from musclefit.muscles.moment_arms import MomentArm, moment_arms
+from musclefit.muscles.motion_curves import MotionState, MovingMuscle, motion_curves
 from musclefit.muscles.streamlines import Streamlines, streamlines
 from musclefit.pipeline.poses import bones_of, refuse_collision
 from musclefit.pipeline.refining import deform_finely
 from musclefit.progress import Progress
 from musclefit.rig.job import Job
+from musclefit.rig.joints import JointMotions
+from musclefit.rig.paths import KeyframeMotions
 from musclefit.rig.table_reader import suggestion
 from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
@@ -100,6 +103,8 @@ class Architecture(Shown):
         Muscles without fibres, and why.
     claim : str
         What is known of the map.
+    curves : tuple of MotionState
+        Each muscle after each stretch of the way; empty where they were not asked for.
     folder : Path or None
         Where it was written.
     """
@@ -113,6 +118,7 @@ class Architecture(Shown):
     fibred: Mapping[str, FibredMuscle]
     left_out: Mapping[str, str]
     claim: str
+    curves: tuple[MotionState, ...] = ()
     folder: Path | None = None
 
     @property
@@ -134,6 +140,7 @@ class Architecture(Shown):
             "carried": self.carried,
             "attachments": _attachment_rows(self.ends),
             "moment_arms": self.moment_arms,
+            "curves": _curve_rows(self.curves),
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -160,6 +167,7 @@ def architecture(
     within_mm: float | None = None,
     muscles: Sequence[str] = (),
     deform: bool = True,
+    curves: bool = False,
     progress: Progress | None = None,
 ) -> Architecture:
     """Find where muscles hold on to bone and how their fibres run, and carry both by the rig's map.
@@ -180,6 +188,8 @@ def architecture(
         Names or shell-style patterns of the muscles to look at; all without any.
     deform : bool
         Whether to deform at all, or to stay at rest.
+    curves : bool
+        Whether to measure the fibres after each stretch of the way, and their moment arms by the joint that turns.
     progress : Progress, optional
 
     Raises
@@ -193,6 +203,8 @@ def architecture(
     with claimed(folder, by=Maker.ARCHITECTURE):
         if within_mm is not None and not 0.0 < within_mm < np.inf:
             raise InputError(f"within_mm: found {within_mm}; expected a finite length above 0, mm")
+        if curves and not deform:
+            raise InputError("curves need a motion; found that nothing is to be deformed: leave out one of the two")
         stated = () if attachments is None else read_attachments(attachments)
         with watched(progress) as stages:
             job = rig.job if isinstance(rig, Run) else read_rig(rig_given(rig), overrides=overrides, progress=stages)
@@ -211,6 +223,10 @@ def architecture(
                 for (name, one), (p, m) in zip(fibred.items(), whole, strict=True)
             )
             carried = () if deformation is None else _carry(job, fibred, deformation, motions, progress=stages)
+            states: tuple[MotionState, ...] = ()
+            if curves and deformation is not None:
+                with stages.stage("curves"):
+                    states = _curves(job, fibred, deformation)
         arms: tuple[MomentArm, ...] = ()
         if job.joints is not None:
             arms = moment_arms(ends, job.joints, pose=dict(job.pose), coordinates=[name for name, _ in job.pose])
@@ -224,6 +240,7 @@ def architecture(
             fibred=fibred,
             left_out=left_out,
             claim=_claim(rig, deformed=deformation is not None),
+            curves=states,
             folder=folder,
         )
         if folder is not None:
@@ -256,6 +273,28 @@ def _carry(
             fibred[name] = replace(one, carried_points=points)
             tick(done / len(fibred))
     return tuple(carried)
+
+
+def _curves(job: Job, fibred: Mapping[str, FibredMuscle], deformation: Deformation) -> tuple[MotionState, ...]:
+    moving = [MovingMuscle(one.ends, job.anatomy[name].surface, one.lines, one.belly) for name, one in fibred.items()]
+    stretches = list(deformation.by_stretch())
+    moments = [0.0, *(end for _, end, _ in stretches)]
+    angles = (
+        {t: job.motions.pose_at(t) for t in moments} if isinstance(job.motions, (JointMotions, KeyframeMotions)) else {}
+    )
+    return motion_curves(moving, stretches, angles_at=angles)
+
+
+def _curve_rows(curves: Sequence[MotionState]) -> list[dict[str, Any]]:
+    """A row for each state, the joints' angles in columns of their own."""
+    rows = []
+    for state in curves:
+        row = asdict(state)
+        angles = row.pop("angles_deg")
+        rows.append(
+            {"muscle": row.pop("muscle"), "at": row.pop("at"), **{f"{k}_deg": v for k, v in angles.items()}, **row}
+        )
+    return rows
 
 
 def _fibres(
@@ -350,6 +389,8 @@ def _write(found: Architecture, folder: Path) -> None:
         "carried": [field.name for field in fields(CarriedMuscle)],
         "moment_arms": [field.name for field in fields(MomentArm)],
     }
+    if report["curves"]:
+        headings["curves"] = list(report["curves"][0])
     files = {
         f"{name}.csv": csv_text([h, *(row.values() for row in report[name])]).encode() for name, h in headings.items()
     }

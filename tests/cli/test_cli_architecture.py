@@ -50,6 +50,20 @@ def test_attachments_fibres_and_moment_arms_are_written(
     assert np.linalg.norm(rest.points - moved.points, axis=1).max() > 1.0
 
 
+def test_curves_end_where_the_map_ends(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    given = ["architecture", str(rig), "--out", str(out), "--within-mm", "8", "--curves", "--quiet"]
+    assert main([*given, "--set", "deformer.min_steps=3"]) == 0
+    states, (carried,), (rest,) = (rows(out / f"{name}.csv") for name in ("curves", "carried", "muscles"))
+    assert [float(states[k]["elbow_deg"]) for k in (0, -1)] == [0.0, 25.0]
+    assert float(states[0]["path_mm"]) == pytest.approx(float(rest["path_mm"]), rel=0.01)
+    for name in ("path_mm", "fibre_mm", "pennation_deg"):
+        assert float(states[-1][name]) == pytest.approx(float(carried[name]), rel=0.01)
+    assert all(state["moment_arm_path_mm"] for state in states)
+    assert main([*given, "--rest"]) == 2
+    assert "curves need a motion" in capsys.readouterr().err
+
+
 def test_what_is_printed_is_what_is_written_and_valid_json(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

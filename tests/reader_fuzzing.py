@@ -341,6 +341,80 @@ FEBIO = (
 )
 
 
+def _osim(path: Path) -> object:
+    from musclefit.io.formats.osim import parse_osim
+    from musclefit.io.opensim_geometry import find_geometry, placed_meshes
+
+    model = parse_osim(path.read_bytes(), source=str(path))
+    files, _ = find_geometry(model, [path.parent])
+    return placed_meshes(model, files)
+
+
+def _osims() -> list[bytes]:
+    from tiny_osim import MODEL
+
+    return [MODEL.encode()]
+
+
+@cache
+def _multibody() -> Any:
+    from tiny_osim import MODEL
+
+    from musclefit.io.formats.osim import parse_osim
+
+    return parse_osim(MODEL.encode(), source="tiny.osim").multibody
+
+
+def _coordinates(path: Path) -> object:
+    from musclefit.io.formats.opensim_motion import parse_opensim_motion
+
+    return parse_opensim_motion(path.read_bytes(), _multibody(), source=str(path))
+
+
+def _coordinate_files() -> list[bytes]:
+    from tiny_osim import MOTION
+
+    return [MOTION.encode(), MOTION.replace("\tknee", "\t/jointset/knee/knee/value").encode()]
+
+
+def _attachments(path: Path) -> object:
+    from musclefit.io.formats.attachments import read_attachments
+
+    return read_attachments(path)
+
+
+def _fibres(path: Path) -> object:
+    from musclefit.io.formats.fibre_directions import read_fibres
+
+    return read_fibres(path)
+
+
+def _fibre_files() -> list[bytes]:
+    from musclefit.io.formats.fibre_directions import fibre_bytes
+
+    return [fibre_bytes({"a": (np.zeros((4, 3)), np.ones((4, 3))), "b": (np.ones((2, 3)), np.ones((2, 3)))})]
+
+
+def _study(path: Path) -> object:
+    from musclefit.io.studies import read_study
+
+    inside = _rig_folder() / "study.toml"
+    inside.write_bytes(path.read_bytes())
+    return read_study(inside)
+
+
+def _any_rig() -> str:
+    return next(path.name for path in sorted(_rig_folder().glob("*.toml")) if "[anatomy]" in path.read_text())
+
+
+def _studies() -> list[bytes]:
+    (_rig_folder() / "subjects.csv").write_text("subject,side\nA,left\nB,right\n")
+    return [
+        b'title = "two"\n[subjects]\ntable = "subjects.csv"\n[rigs]\none = "RIG"\n'.replace(b"RIG", _any_rig().encode())
+        + b"[set]\nlimits.landmark_mm = 0.1\n[run]\npictures = false\n"
+    ]
+
+
 def _given(*files: bytes) -> Examples:
     return lambda: list(files)
 
@@ -383,6 +457,14 @@ READERS = (
     Reader("deck k", ".k", _deck, _given(KEYWORDS)),
     Reader("deck inp", ".inp", _deck, _given(ABAQUS)),
     Reader("deck feb", ".feb", _deck, _given(FEBIO)),
+    Reader("model osim", ".osim", _osim, _osims),
+    Reader("motion mot", ".mot", _coordinates, _coordinate_files),
+    Reader("motion sto", ".sto", _coordinates, _coordinate_files),
+    Reader(
+        "attachments csv", ".csv", _attachments, _given(b"muscle,end,bone,within_mm\na,origin,hum,3\nb,insertion,,\n")
+    ),
+    Reader("fibres npz", ".npz", _fibres, _fibre_files),
+    Reader("study toml", ".toml", _study, _studies),
     Reader("tets of a run", ".vtu", _run_tets, _vtus),
 )
 

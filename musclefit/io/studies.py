@@ -202,13 +202,21 @@ def _files(text: str, rig: Path) -> list[Path]:
         return []
 
 
+def _is_file(place: Path) -> bool:
+    """Whether a path is that of a file; one that no file can have is not."""
+    try:
+        return place.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def _named_paths(section: Section, source: Path, *, rigs: bool) -> dict[str, Path]:
     """The files that a table names; rigs that come along may be called by name."""
     found = {}
     for name in section.table:
         text = section.text(name)
         place = Path(os.path.normpath(source.parent.absolute() / text))
-        if place.is_file():
+        if _is_file(place):
             found[name] = place
         elif rigs and "/" not in text and not text.endswith(".toml"):
             try:

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from musclefit.anatomy.findings import Finding
 from musclefit.errors import LandmarkError
 from musclefit.geometry.arrays import Float, Points, frozen
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.similarity import Similarity
 from musclefit.rig.handles import BoneMotions, Handles
 from musclefit.rig.paths import ScrewMotions, turn_left_free
 
@@ -19,6 +21,13 @@ MIRROR_GAIN = 0.5
 
 MIRROR_SHARE = 0.05
 """... and a motion misses them by more than this share of their spread: flatter ones can be mirrored by noise alone."""
+
+ALL_MIRROR_GAIN, ALL_MIRROR_SHARE = 0.25, 0.15
+"""The same for all landmarks together: soft tissue may press some through the plane of the others."""
+
+HALF_TURN_DEG, HALF_TURN_SHARE = 30.0, 0.25
+"""Targets are turned as RAS is against LPS when their best turn is within so many degrees of that, and what it misses
+them by within so much of their spread."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,6 +155,49 @@ def _fit(bone: str, handles: Handles, target: Points, own: Points) -> BoneFit:
             "other sign in one of the two files, or left and right are exchanged; export both in one frame (LPS or RAS)"
         )
     return fit
+
+
+def refuse_mirror_image(source: Points, target: Points) -> None:
+    """LandmarkError where targets, (m, 3) mm, are a mirror image of their landmarks: no one-to-one map is one.
+
+    A similarity misses them by much, and one with a mirror by a small part of that.
+    """
+    flipped = source * (1.0, 1.0, -1.0)
+    plain, mirrored = _missed(source, target), _missed(flipped, target)
+    if mirrored < ALL_MIRROR_GAIN * plain and plain > ALL_MIRROR_SHARE * _spread(target):
+        raise LandmarkError(
+            f"the targets are a mirror image of the landmarks: a mirror (with one scale) misses them by {mirrored:.3g} "
+            f"mm rms, a turn by {plain:.3g} mm; no map that keeps orientation is a mirror: an axis has the other sign "
+            "in one of the two files, or left and right are exchanged; export both in one frame"
+        )
+
+
+def half_turn_findings(source: Points, target: Points, *, subject: str) -> tuple[Finding, ...]:
+    """A finding where targets, (m, 3) mm, are turned about z by nearly 180 degrees: as RAS is against LPS."""
+    rotation = Similarity.fitted(source, target).rotation
+    off = float(np.degrees(Rotation.from_matrix(rotation @ np.diag([-1.0, -1.0, 1.0])).magnitude()))
+    missed = _missed(source, target)
+    if turn_left_free(source) or off > HALF_TURN_DEG or missed > HALF_TURN_SHARE * _spread(target):
+        return ()
+    said = (
+        f"{subject}: the targets are turned by about 180 degrees about z against the landmarks (to {off:.0f} degrees), "
+        "as RAS is against LPS; where that is not meant, export both in one coordinate system"
+    )
+    return (Finding(subject, "half-turn", said),)
+
+
+def _missed(source: Points, target: Points) -> float:
+    """How far the best similarity takes points from their targets, mm rms."""
+    fit = Similarity.fitted(source, target)
+    return _rms(_distances(fit.scale * source @ fit.rotation.T + fit.translation, target))
+
+
+def _spread(points: Points) -> float:
+    return _rms(_distances(points, points.mean(axis=0)))
+
+
+def _rms(values: Float) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _distances(a: Points, b: Points) -> Float:

@@ -39,6 +39,10 @@ TOLD_BEFORE = (
     "one-frame",
     "unmatched-landmarks",
     "averaged-frames",
+    "lost-marker",
+    "markups-passed-over",
+    "assumed-frame",
+    "half-turn",
     "points-outside-skin",
 )
 """Findings that are told before the long work; the report lists them all."""

@@ -9,6 +9,7 @@ import pytest
 
 from musclefit.errors import InputError, LandmarkError
 from musclefit.io.formats.landmarks import COINCIDENT_MM, paired, read_landmarks
+from musclefit.io.formats.points import read_points
 from musclefit.vocabulary import Unit
 
 CSV = "name,bone,x_mm,y_mm,z_mm\nelbow,humerus,1,2,3\nwrist,radius,-4.5,5e1,6\ntip,,7,8,9\n"
@@ -195,6 +196,54 @@ def test_other_files_are_refused(write, tmp_path):
         read_landmarks(write("{}", "a.json"))
     with pytest.raises(InputError, match=r"gone.csv: cannot be read \(No such file or directory\)"):
         read_landmarks(tmp_path / "gone.csv")
+
+
+def test_markups_without_a_coordinate_system_are_taken_as_slicer_takes_them(write):
+    silent = json.loads(_markups())
+    del silent["markups"][0]["coordinateSystem"]
+    table = read_landmarks(write(json.dumps(silent), "a.mrk.json"))
+    assert table.coordinate_system == "LPS"
+    (finding,) = table.findings
+    assert finding.code == "assumed-frame"
+    assert "states no coordinateSystem; taken to be in LPS" in finding.message
+    with pytest.raises(LandmarkError, match="in RAS: x and y have opposite signs"):
+        paired(table, read_landmarks(write(FCSV.replace("LPS", "RAS"), "a.fcsv")))
+
+
+def test_a_point_list_is_found_among_lines_and_planes(write):
+    alone = json.loads(_markups())["markups"][0]
+    ends = [{"label": "l-1", "position": [0, 0, 0]}, {"label": "l-2", "position": [9, 9, 9]}]
+    line, plane = ({"type": kind, "coordinateSystem": "LPS", "controlPoints": ends} for kind in ("Line", "Plane"))
+    path = write(json.dumps({"markups": [plane, {**alone, "type": "Fiducial"}, line]}), "a.mrk.json")
+    table, wanted = read_landmarks(path), read_landmarks(write(_markups(), "b.mrk.json"))
+    assert table.names == wanted.names
+    np.testing.assert_array_equal(table.positions, wanted.positions)
+    (finding,) = table.findings
+    assert finding.code == "markups-passed-over"
+    assert "2 other markups were passed over: Plane, Line" in finding.message
+    # moved points go back to their own markup, the others stay
+    points = read_points(path, units=Unit.MILLIMETRE)
+    points.rewrite(points.points + np.array([1.0, 0.0, 0.0]), path.with_name("moved.mrk.json"))
+    moved = json.loads(path.with_name("moved.mrk.json").read_text())["markups"]
+    assert moved[0] == plane
+    assert moved[2] == line
+    np.testing.assert_allclose(
+        [p["position"] for p in moved[1]["controlPoints"]],
+        np.array([p["position"] for p in alone["controlPoints"]]) + np.array([1.0, 0.0, 0.0]),
+        rtol=0,
+        atol=1e-12,
+    )
+
+
+def test_two_point_lists_and_a_plane_alone_are_refused(write):
+    alone = json.loads(_markups())["markups"][0]
+    two = json.dumps({"markups": [{**alone, "type": "Fiducial"}, {**alone, "type": "Fiducial"}]})
+    with pytest.raises(LandmarkError, match=r"2 markups in one file; .* found are: Fiducial, Fiducial"):
+        read_landmarks(write(two, "a.mrk.json"))
+    with pytest.raises(LandmarkError, match="its markup is a Plane, whose control points are no landmarks"):
+        read_landmarks(write(json.dumps({"markups": [{**alone, "type": "Plane"}]}), "a.mrk.json"))
+    line = read_landmarks(write(json.dumps({"markups": [{**alone, "type": "Line"}]}), "a.mrk.json"))
+    assert len(line) == len(alone["controlPoints"])
 
 
 def test_pairs_are_matched_by_name_not_by_row(write):

@@ -414,6 +414,17 @@ def test_landmarks_of_rigid_bones_become_motions(tmp_path: Path) -> None:
     assert isinstance(plain.path, StraightPath)
 
 
+def test_pairs_of_a_rig_that_are_a_mirror_image_are_refused_by_its_name(tmp_path: Path) -> None:
+    path = write_tiny_rig(tmp_path / "rig")
+    marks = path.with_name("landmarks.csv")
+    head = marks.read_text(encoding="utf-8").splitlines()[0]
+    places = np.random.default_rng(2).uniform(-9.0, 9.0, (8, 3)).tolist()
+    rows = [f"p{k},,{x},{y},{z},{x + 1.0},{-y},{z}" for k, (x, y, z) in enumerate(places)]
+    marks.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    with pytest.raises(LandmarkError, match=r"tiny.toml: drive: the targets are a mirror image of the landmarks"):
+        read_rig(path)
+
+
 @pytest.mark.parametrize(
     ("rows", "words"),
     [

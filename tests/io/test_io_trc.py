@@ -60,6 +60,43 @@ def test_moved_markers_keep_the_rest_of_the_file() -> None:
 
 
 @pytest.mark.parametrize(
+    ("said", "scale"),
+    [("MM", 1.0), ("mm", 1.0), ("millimeters", 1.0), ("Meters", 1000.0), ("metres", 1000.0), ("CM", 10.0)],
+)
+def test_units_are_known_by_their_names_too(said: str, scale: float) -> None:
+    read = read_trajectories(TRC.replace("\tm\t", f"\t{said}\t"), "a.trc", units=Unit.CENTIMETRE)
+    np.testing.assert_allclose(read.positions[1, 2], scale * np.array([7.0, 8.0, 9.0]), rtol=1e-15, atol=0)
+
+
+def test_blanks_for_tabs_are_read_and_a_missing_marker_is_refused() -> None:
+    lines = TRC.replace("\t\t\t\n2", "\t4\t5\t6\n2").replace("1\t2\t3\t\t\t\n", "1\t2\t3\t4\t5\t6\n").splitlines()
+    blank = "\n".join("   ".join(line.split()) for line in lines)
+    read, wanted = (read_trajectories(text, "a.trc", units=Unit.MILLIMETRE) for text in (blank, "\n".join(lines)))
+    assert read.names == wanted.names == ("ASIS", "KNEE", "TOE")
+    np.testing.assert_array_equal(read.positions, wanted.positions)
+    again = read_trajectories(read.with_seen(read.seen + 1.0), "a.trc", units=Unit.MILLIMETRE)
+    np.testing.assert_allclose(again.positions, wanted.positions + 1.0, rtol=0, atol=1e-9)
+    with pytest.raises(LandmarkError, match=r"line 8 has 8 coordinates, not 9, and blanks part them"):
+        read_trajectories(blank.rsplit(" ", 1)[0], "a.trc", units=Unit.MILLIMETRE)
+
+
+def test_a_marker_at_zero_is_lost_and_no_part_of_its_mean(tmp_path: Path) -> None:
+    (tmp_path / "lost.trc").write_text(
+        TRC.replace("\t\t\t\n2", "\t0\t0.0\t0\n2").replace("3\t\t\t\n", "3\t0\t0.0\t0\n")
+    )
+    table = read_landmarks(tmp_path / "lost.trc")
+    np.testing.assert_allclose(table.positions[2], [7000, 8000, 9000], rtol=0, atol=1e-9)
+    assert [f.code for f in table.findings] == ["averaged-frames", "lost-marker"]
+    assert "marker 'TOE' is written 0 0 0 in 1 of 2 frames" in table.findings[1].message
+    read = read_trajectories((tmp_path / "lost.trc").read_text(), "a.trc", units=Unit.MILLIMETRE)
+    moved = read.with_seen(read.seen + 5.0)
+    assert moved.splitlines()[6].endswith("\t0\t0.0\t0")  # as it was
+    (tmp_path / "never.trc").write_text(TRC.replace("7\t8\t9", "0\t0\t0"))
+    with pytest.raises(LandmarkError, match="marker 'TOE' is in no frame but at 0 0 0, which is how lost markers are"):
+        read_landmarks(tmp_path / "never.trc")
+
+
+@pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ("PathFileType", "Path", "no .trc file"),

@@ -7,7 +7,14 @@ import pytest
 
 from musclefit.errors import LandmarkError
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
+from musclefit.rig.bone_fits import (
+    RigidPath,
+    fit_bones,
+    fit_findings,
+    half_turn_findings,
+    motions_of_fits,
+    refuse_mirror_image,
+)
 from musclefit.rig.handles import Handles
 
 RNG = np.random.default_rng(3)
@@ -106,3 +113,38 @@ def test_flat_landmarks_with_noise_are_no_mirror(seed: int) -> None:
     flat = np.column_stack([rng.uniform(-40.0, 40.0, (4, 2)), rng.uniform(-0.1, 0.1, 4)])
     (fit,) = fit_bones(handles(flat, ("ulna",) * 4), MOTION(flat) + rng.normal(scale=0.3, size=(4, 3)))
     assert fit.rms_mm < 1.0
+
+
+def test_pairs_that_only_a_mirror_takes_to_each_other_are_refused() -> None:
+    rng = np.random.default_rng(8)
+    source = rng.uniform(-100.0, 100.0, (12, 3))
+    soft = 1.3 * MOTION(source) + rng.normal(0.0, 4.0, source.shape)  # another size, another pose, soft tissue
+    refuse_mirror_image(source, soft)
+    with pytest.raises(
+        LandmarkError, match=r"mirror image of the landmarks: a mirror \(with one scale\) misses them by"
+    ):
+        refuse_mirror_image(source * [-1.0, 1.0, 1.0], soft)
+    flat = source * [1.0, 1.0, 0.0]  # in a plane a mirror is a turn
+    refuse_mirror_image(flat, MOTION(flat * [-1.0, 1.0, 1.0]))
+    pressed = source.copy()
+    pressed[0] -= (0.0, 0.0, 60.0)  # one goes through the plane of others
+    refuse_mirror_image(source, pressed)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_soft_targets_are_no_mirror_images(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    source = rng.uniform(-100.0, 100.0, (int(rng.integers(4, 30)), 3))
+    refuse_mirror_image(source, rng.uniform(0.5, 2.0, 3) * MOTION(source) + rng.normal(0.0, 15.0, source.shape))
+
+
+def test_ras_against_lps_is_a_half_turn_and_is_told() -> None:
+    """Both are right-handed: x and y change their signs, which is a turn by 180 degrees about z and no mirror."""
+    rng = np.random.default_rng(9)
+    source = rng.uniform(-100.0, 100.0, (12, 3))
+    target = 1.2 * source + rng.normal(0.0, 5.0, source.shape) + np.array([10.0, -30.0, 400.0])
+    assert half_turn_findings(source, target, subject="a.csv") == ()
+    (finding,) = half_turn_findings(source * [-1.0, -1.0, 1.0], target, subject="a.csv")
+    assert finding.code == "half-turn"
+    assert "as RAS is against LPS" in finding.message
+    refuse_mirror_image(source * [-1.0, -1.0, 1.0], target)

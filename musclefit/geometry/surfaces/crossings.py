@@ -11,6 +11,7 @@ from igl import predicates
 from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.topology import edges_of, merge_duplicate_vertices, repeats_a_vertex
+from musclefit.geometry.tets.orientation import integers
 
 TOUCHING_MM = 1e-8
 """Sheets that reach no farther through each other than this touch: a moved vertex is known no better, and an atom is
@@ -78,10 +79,10 @@ def self_crossings(mesh: TriMesh) -> Crossings:
     # libigl 2.6.3 compares rounded normals at a common edge: it takes neighbours 1e-9 apart for folded, and misjudges
     # those that run through their edge the same way; what has a common edge is judged here
     common = np.array([len(np.intersect1d(*pair)) for pair in merged.faces[pairs]], dtype=np.int64)
-    # and it takes triangles for crossing of which one leaves the other's plane by an ulp from their common corner
+    # and it takes some for crossing that have nothing but their common corner in common: those are judged here, too
     kept = common != 2
     by_corner = np.flatnonzero(common == 1)
-    kept[by_corner] = ~_only_at_corner(merged.vertices, merged.faces[pairs[by_corner]])
+    kept[by_corner] = [_beyond_corner(merged.vertices, *pair) for pair in merged.faces[pairs[by_corner]]]
     folded = _folded_neighbours(merged.vertices, merged.faces, whole)
     pairs = np.concatenate([pairs[kept], folded])
     return _crossings(pairs, np.concatenate([flat[kept], np.ones(len(folded), dtype=bool)]), mesh, mesh)
@@ -111,24 +112,41 @@ def _reach_through(planes: Float, triangles: Float) -> Float:
     return np.where(lengths > 0.0, reach, np.inf)
 
 
-def _only_at_corner(vertices: Points, pairs: Int) -> Bool:
-    """(k,) pairs of triangles, (k, 2, 3), of which one stands on one side of the other's plane but for their corner."""
-    apart = np.zeros(len(pairs), dtype=bool)
-    if not len(pairs):
-        return apart
-    at_corner = (pairs[:, :, :, None] == pairs[:, ::-1, None, :]).any(axis=3)
-    for own, other in ((0, 1), (1, 0)):
-        a, b, c = (np.ascontiguousarray(vertices[pairs[:, other, k]]) for k in range(3))
-        sides = np.stack(
-            [
-                np.asarray(predicates.orient3d(a, b, c, np.ascontiguousarray(vertices[pairs[:, own, k]]))).ravel()
-                for k in range(3)
-            ],
-            axis=1,
-        ).astype(np.int64)
-        for side in (1, -1):
-            apart |= ((sides == side) | at_corner[:, own]).all(axis=1)
-    return apart
+def _beyond_corner(vertices: Points, first: Int, second: Int) -> bool:
+    """Exactly: two triangles, (3,) vertex numbers of each, with one common corner share a point beside it.
+
+    Seen from the corner, each triangle meets the other's plane in a ray; they share points when both rays are the same.
+    In one plane, a side of one runs within the other.
+    """
+    (corner,) = np.intersect1d(first, second)
+    others = [k for k in first if k != corner], [k for k in second if k != corner]
+    places = integers(vertices[[corner, *others[0], *others[1]]])
+    a, b, c, d = ([int(x) for x in place - places[0]] for place in places[1:])
+    normals = _cross(a, b), _cross(c, d)
+    heights = [(_dot(normals[1], a), _dot(normals[1], b)), (_dot(normals[0], c), _dot(normals[0], d))]
+    if not any(heights[0]) or not any(heights[1]):
+        return _within(a, c, d) or _within(b, c, d) or _within(c, a, b) or _within(d, a, b)
+    if any(p * q > 0 for p, q in heights):
+        return False
+    rays = []
+    for (p, q), (x, y) in zip(heights, ((a, b), (c, d)), strict=True):
+        side = 1 if p > q else -1
+        rays.append([side * (p * y[k] - q * x[k]) for k in range(3)])
+    return _dot(*rays) > 0
+
+
+def _within(direction: list[int], a: list[int], b: list[int]) -> bool:
+    """A direction in the plane of two others lies between them."""
+    normal = _cross(a, b)
+    return _dot(_cross(a, direction), normal) >= 0 and _dot(_cross(direction, b), normal) >= 0
+
+
+def _cross(a: list[int], b: list[int]) -> list[int]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _dot(a: list[int], b: list[int]) -> int:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _folded_neighbours(vertices: Points, faces: Faces, whole: Int) -> Int:

@@ -12,7 +12,14 @@ from musclefit.io.drives.bone_landmarks import handles_of
 from musclefit.io.drives.carried_bones import Carried, carriers_named, motion_findings
 from musclefit.io.drives.landmark_pairs import read_keyframes, read_pairs
 from musclefit.io.drives.pairs import Pairs
-from musclefit.rig.bone_fits import RigidPath, fit_bones, fit_findings, motions_of_fits
+from musclefit.rig.bone_fits import (
+    RigidPath,
+    fit_bones,
+    fit_findings,
+    half_turn_findings,
+    motions_of_fits,
+    refuse_mirror_image,
+)
 from musclefit.rig.chain import ChainMotions, carriers_of
 from musclefit.rig.drive import Drive, Driver, Files, JobParts, found_if_named, found_keyframes, register_drive
 from musclefit.rig.handles import Handles
@@ -92,7 +99,12 @@ class LandmarkDrive(Drive):
         keys = read_keyframes(self.keyframes, files, names=table.names, units=self.units, prefixes=prefixes)
         handles, frame = handles_of(table), table.coordinate_system
         if not rigid_bones:
-            return Pairs(handles, targets, path, table.findings, frame, keyframes=keys)
+            try:
+                refuse_mirror_image(handles.source, targets)
+            except LandmarkError as error:
+                raise files.named("drive", error) from None
+            findings = (*table.findings, *half_turn_findings(handles.source, targets, subject=table.path.name))
+            return Pairs(handles, targets, path, findings, frame, keyframes=keys)
         try:
             fits = fit_bones(handles, targets)
         except LandmarkError as error:

@@ -41,7 +41,7 @@ def read_fibres(path: Path) -> Mapping[str, tuple[Points, Points]]:
         with np.load(path, allow_pickle=False) as stored:
             names, muscle = [str(name) for name in stored["muscles"]], stored["muscle"]
             places, directions = stored["places_mm"], stored["directions"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile) as error:
         raise InputError(
             f"{path}: holds no fibres ({error}); name a folder that musclefit architecture wrote"
         ) from None

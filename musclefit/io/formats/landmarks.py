@@ -23,6 +23,9 @@ COINCIDENT_MM = 1e-9
 """Two landmarks of a file closer than this are one position written twice, mm; `rig.job` asks more of handles."""
 
 _ENDINGS = ".csv, .fcsv, .mrk.json and .trc"
+_POINT_LIST = "Fiducial"
+_POINT_KINDS = (_POINT_LIST, "Line", "Angle", "Curve", "ClosedCurve")
+"""Markups whose control points are places that someone pointed at; those of planes and boxes are made by Slicer."""
 _FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 _FCSV_SYSTEMS = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 
@@ -279,15 +282,17 @@ def _from_markups(text: str, path: Path, *, units: Unit) -> LandmarkTable:
     markups = read.get("markups") if isinstance(read, dict) else None
     if not isinstance(markups, list) or not all(isinstance(markup, dict) for markup in markups):
         raise LandmarkError(f"{path}: no Slicer markups file: it has no list 'markups'; save a point list from Slicer")
-    if len(markups) != 1:
-        raise LandmarkError(f"{path}: {len(markups)} markups in one file; save one point list by itself")
-    markup = markups[0]
+    markup, findings = _one_point_list(markups, path)
     points = markup.get("controlPoints")
     if not isinstance(points, list):
         raise LandmarkError(f"{path}: the markup has no list 'controlPoints'; save a point list from Slicer")
     system = str(markup.get("coordinateSystem", "")).upper()
     if system not in ("", "LPS", "RAS"):
         raise LandmarkError(f"{path}: coordinateSystem is {system!r}; known are LPS and RAS")
+    if not system:
+        system = "LPS"
+        said = f"{path.name}: states no coordinateSystem; taken to be in LPS, as Slicer takes it"
+        findings.append(Finding(path.name, "assumed-frame", said))
     found = [_control_point(point, number, path) for number, point in enumerate(points, start=1)]
     return LandmarkTable(
         names=tuple(name for name, _ in found),
@@ -301,7 +306,35 @@ def _from_markups(text: str, path: Path, *, units: Unit) -> LandmarkTable:
         targets=None,
         coordinate_system=system,
         path=path,
+        findings=tuple(findings),
     )
+
+
+def point_list_number(markups: Sequence[dict[str, Any]]) -> int:
+    """Which markup of a file is its point list: the only one of type Fiducial, or the only one; -1 where none is."""
+    lists = [number for number, markup in enumerate(markups) if markup.get("type", _POINT_LIST) == _POINT_LIST]
+    if len(markups) == 1:
+        return 0
+    return lists[0] if len(lists) == 1 else -1
+
+
+def _one_point_list(markups: list[dict[str, Any]], path: Path) -> tuple[dict[str, Any], list[Finding]]:
+    """The point list of a file, and findings that tell which planes, lines and others were passed over."""
+    chosen = point_list_number(markups)
+    if chosen < 0:
+        kinds = ", ".join(str(markup.get("type", _POINT_LIST)) for markup in markups) or "none"
+        raise LandmarkError(
+            f"{path}: {len(markups)} markups in one file; save one point list by itself, or with lines and planes "
+            f"alone; found are: {kinds}"
+        )
+    kind = str(markups[chosen].get("type", _POINT_LIST))
+    if kind not in _POINT_KINDS:
+        raise LandmarkError(
+            f"{path}: its markup is a {kind}, whose control points are no landmarks; save a point list from Slicer"
+        )
+    others = [str(markup.get("type", "?")) for number, markup in enumerate(markups) if number != chosen]
+    said = f"{path.name}: its point list was read; {len(others)} other markups were passed over: {', '.join(others)}"
+    return markups[chosen], [Finding(path.name, "markups-passed-over", said)] if others else []
 
 
 def _from_trc(text: str, path: Path, *, units: Unit) -> LandmarkTable:
@@ -312,6 +345,13 @@ def _from_trc(text: str, path: Path, *, units: Unit) -> LandmarkTable:
         f"{path.name}: {frames} frames were averaged; the marker that moves most, {marker!r}, is {motion:.3g} mm from "
         "its mean at most"
     )
+    findings = [Finding(path.name, "averaged-frames", message)] if frames > 1 else []
+    for name, lost in zip(read.names, read.lost, strict=True):
+        if lost:
+            said = (
+                f"{path.name}: marker {name!r} is written 0 0 0 in {lost} of {frames} frames: lost, and left out there"
+            )
+            findings.append(Finding(path.name, "lost-marker", said))
     return LandmarkTable(
         names=read.names,
         positions=read.mean(),
@@ -319,7 +359,7 @@ def _from_trc(text: str, path: Path, *, units: Unit) -> LandmarkTable:
         targets=None,
         coordinate_system="",
         path=path,
-        findings=(Finding(path.name, "averaged-frames", message),) if frames > 1 else (),
+        findings=tuple(findings),
     )
 
 

@@ -25,7 +25,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.anatomy import read_surface
-from musclefit.io.formats.landmarks import fcsv_headings, read_landmarks
+from musclefit.io.formats.landmarks import fcsv_headings, point_list_number, read_landmarks
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
 from musclefit.io.formats.texts import in_mm, read_bytes, read_text
 from musclefit.io.formats.trc import read_trajectories
@@ -154,11 +154,12 @@ def _fcsv(path: Path, units: Unit) -> tuple[Points, Rewrite]:
 def _markups(path: Path, units: Unit) -> tuple[Points, Rewrite]:
     points = read_landmarks(path, units=units).positions
     stated = json.loads(_text(path))
-    first = np.array([point["position"] for point in stated["markups"][0]["controlPoints"]], dtype=np.float64)
+    control_points = stated["markups"][point_list_number(stated["markups"])]["controlPoints"]
+    first = np.array([point["position"] for point in control_points], dtype=np.float64)
     scale = _ratio(points, first)
 
     def rewrite(moved: Points, out: Path) -> None:
-        for point, position in zip(stated["markups"][0]["controlPoints"], moved / scale, strict=True):
+        for point, position in zip(control_points, moved / scale, strict=True):
             point["position"] = [float(x) for x in position]
         out.write_text(json.dumps(stated, indent=4, ensure_ascii=False) + "\n", encoding="utf-8")
 

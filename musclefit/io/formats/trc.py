@@ -11,6 +11,14 @@ from musclefit.geometry.arrays import Float, Points
 from musclefit.io.formats.texts import in_mm
 from musclefit.vocabulary import Unit
 
+_UNITS = {
+    **{unit.value: unit for unit in Unit},
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), Unit.MILLIMETRE),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), Unit.CENTIMETRE),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), Unit.METRE),
+}
+"""What files call units, in small letters."""
+
 _FIRST_MARKER = 2
 """Columns before the first marker: frame and time."""
 
@@ -23,12 +31,14 @@ class Trajectories:
     ----------
     names : tuple of str, length m
     positions : (frames, m, 3) float64, mm
-        Not a number where a marker was not seen.
+        Not a number where a marker was not seen: its cells are empty, no numbers, or 0 0 0.
     unit : Unit
         Of the file.
     lines : tuple of str
         The file's lines; those of frames are ``frame_lines``.
     frame_lines : tuple of int
+    lost : tuple of int, length m
+        In how many frames each marker is written 0 0 0.
     """
 
     names: tuple[str, ...]
@@ -36,6 +46,7 @@ class Trajectories:
     unit: Unit
     lines: tuple[str, ...]
     frame_lines: tuple[int, ...]
+    lost: tuple[int, ...]
 
     def mean(self) -> Points:
         """(m, 3) mean over the frames in which each marker was seen, mm."""
@@ -62,8 +73,12 @@ class Trajectories:
         frames = flat.reshape(self.positions.shape) / self.unit.in_mm
         lines = list(self.lines)
         for line, frame in zip(self.frame_lines, frames, strict=True):
-            head = lines[line].split("\t")[:_FIRST_MARKER]
-            lines[line] = "\t".join([*head, *("" if np.isnan(x) else repr(float(x)) for x in frame.ravel())])
+            cells = _cells(lines[line])
+            head, before = cells[:_FIRST_MARKER], [*cells[_FIRST_MARKER:], *[""] * frame.size]
+            moved_cells = (
+                old if np.isnan(x) else repr(float(x)) for x, old in zip(frame.ravel(), before, strict=False)
+            )
+            lines[line] = "\t".join([*head, *moved_cells])
         return "\n".join(lines) + "\n"
 
 
@@ -87,7 +102,7 @@ def read_trajectories(text: str, source: str, *, units: Unit) -> Trajectories:
     lines = tuple(text.splitlines())
     stated = _stated(lines, source)
     unit = _unit(stated.get("Units", ""), source, units)
-    names = tuple(cell.strip() for cell in lines[3].split("\t")[_FIRST_MARKER:] if cell.strip())
+    names = tuple(cell for cell in _cells(lines[3])[_FIRST_MARKER:] if cell)
     n_markers, n_frames = (_count(stated, key, source) for key in ("NumMarkers", "NumFrames"))
     if len(names) != n_markers:
         raise LandmarkError(f"{source}: names {len(names)} markers, but its header says {n_markers}; export it again")
@@ -100,10 +115,19 @@ def read_trajectories(text: str, source: str, *, units: Unit) -> Trajectories:
         raise LandmarkError(f"{source}: has no frame; export it again")
     positions = np.stack([_frame(lines[i], i + 1, source, n_markers) for i in rows])
     positions = in_mm(positions, unit, source=source, error=LandmarkError)
+    lost = (positions == 0.0).all(axis=2)
+    positions[lost] = np.nan
     never = np.flatnonzero(~np.isfinite(positions).all(axis=2).any(axis=0))
     if never.size:
-        raise LandmarkError(f"{source}: marker {names[never[0]]!r} is in no frame; leave its columns out")
-    return Trajectories(names, positions, unit, lines, rows)
+        zeros = ", which is how lost markers are written" if lost[:, never[0]].any() else ""
+        at = " but at 0 0 0" if zeros else ""
+        raise LandmarkError(f"{source}: marker {names[never[0]]!r} is in no frame{at}{zeros}; leave its columns out")
+    return Trajectories(names, positions, unit, lines, rows, tuple(int(k) for k in lost.sum(axis=0)))
+
+
+def _cells(line: str) -> list[str]:
+    """The cells of a line: parted by tabs, or by blanks where it has no tab; empty ones cannot be told then."""
+    return [cell.strip() for cell in line.split("\t")] if "\t" in line else line.split()
 
 
 def _stated(lines: tuple[str, ...], source: str) -> dict[str, str]:
@@ -112,15 +136,15 @@ def _stated(lines: tuple[str, ...], source: str) -> dict[str, str]:
             f"{source}: no .trc file: it needs a first line PathFileType, two lines with NumFrames, NumMarkers and "
             "Units, and a fourth line Frame#, Time and the markers; export it again"
         )
-    return dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    return dict(zip(_cells(lines[1]), _cells(lines[2]), strict=False))
 
 
 def _unit(said: str, source: str, units: Unit) -> Unit:
     if not said.strip():
         return units
-    if said.strip() not in set(Unit):
+    if said.strip().lower() not in _UNITS:
         raise LandmarkError(f"{source}: Units is {said.strip()!r}; known are {', '.join(Unit)}")
-    return Unit(said.strip())
+    return _UNITS[said.strip().lower()]
 
 
 def _count(stated: dict[str, str], key: str, source: str) -> int:
@@ -134,8 +158,13 @@ def _count(stated: dict[str, str], key: str, source: str) -> int:
 
 def _frame(line: str, number: int, source: str, n_markers: int) -> Points:
     """(m, 3) positions of one frame in the file's unit; a marker with an empty value is not a number."""
-    cells = [cell.strip() for cell in line.split("\t")][_FIRST_MARKER:]
+    cells = _cells(line)[_FIRST_MARKER:]
     wanted = 3 * n_markers
+    if "\t" not in line and len(cells) < wanted:
+        raise LandmarkError(
+            f"{source}: line {number} has {len(cells)} coordinates, not {wanted}, and blanks part them: which marker "
+            "is missing cannot be told; export it with tabs"
+        )
     if len(cells) > wanted and any(cells[wanted:]):
         raise LandmarkError(f"{source}: line {number} has {len(cells)} coordinates, not {wanted}; correct it")
     cells = (cells + [""] * wanted)[:wanted]

@@ -108,6 +108,8 @@ def parse_xml(data: bytes, *, source: str) -> Element:
             f"{source}: line {error.lineno} is not valid XML ({expat.errors.messages[error.code]}); it is damaged "
             "or cut short: export it again"
         ) from None
+    except (LookupError, ValueError) as error:  # an encoding that Python does not know, or of several bytes
+        raise InputError(f"{source}: its XML declaration names no encoding that is known ({error})") from None
     return root.children[0]
 
 

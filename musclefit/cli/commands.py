@@ -190,6 +190,20 @@ def check(
             "overlaps, open surfaces and those without an inside always do.",
         ),
     ] = (),
+    thinnest_mm: Annotated[
+        float,
+        Parameter(
+            name="--thinnest-mm",
+            help="Walls of a tissue thinner than this, and slots narrower, give exit code 1 too; 0: not looked for.",
+        ),
+    ] = 0.0,
+    smallest_gap_mm: Annotated[
+        float,
+        Parameter(
+            name="--smallest-gap-mm",
+            help="Two tissues closer than this that do not overlap give exit code 1 too; 0: not looked for.",
+        ),
+    ] = 0.0,
     quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
@@ -200,7 +214,16 @@ def check(
     with TimedStages(shown=not quiet) as stages:
         kinds = parse_kinds(kind)
         codes = [code.strip() for codes in fail_on for code in codes.split(",") if code.strip()]
-        report = examine(paths, out=out, units=units, kinds=kinds, fail_on=codes, progress=stages).report
+        report = examine(
+            paths,
+            out=out,
+            units=units,
+            kinds=kinds,
+            fail_on=codes,
+            thinnest_mm=thinnest_mm,
+            smallest_gap_mm=smallest_gap_mm,
+            progress=stages,
+        ).report
     if json:
         print_json(to_json(report) if out is None else _written(out))
     elif not quiet:

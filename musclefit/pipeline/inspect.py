@@ -13,11 +13,18 @@ from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.measures import enclosed_volume
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import MeshReport, TissueSummary
+from musclefit.validate.closeness import close_findings
 from musclefit.validate.overlaps import check_outside_skin, rest_overlaps, solid_anatomy
 
 
 def inspect(
-    anatomy: Anatomy, *, findings: Sequence[Finding], title: str, progress: Progress | None = None
+    anatomy: Anatomy,
+    *,
+    findings: Sequence[Finding],
+    title: str,
+    thinnest_mm: float = 0.0,
+    smallest_gap_mm: float = 0.0,
+    progress: Progress | None = None,
 ) -> MeshReport:
     """Report an anatomy as it stands.
 
@@ -27,6 +34,8 @@ def inspect(
     findings : sequence of Finding
         What was found when reading it.
     title : str
+    thinnest_mm, smallest_gap_mm : float
+        Thinner walls, narrower slots and smaller gaps are findings; 0 for not looking.
 
     Returns
     -------
@@ -36,6 +45,9 @@ def inspect(
     solids = solid_anatomy(anatomy, progress=progress)
     overlaps = rest_overlaps(solids, progress=progress)
     outside = check_outside_skin(solids, solids, mapped=_same, progress=progress)
+    close: tuple[Finding, ...] = ()
+    if thinnest_mm > 0.0 or smallest_gap_mm > 0.0:
+        close = close_findings(solids, thinnest_mm=thinnest_mm, smallest_gap_mm=smallest_gap_mm, progress=progress)
     beyond = {tissue.name: tissue.rest_mm3 for tissue in outside.tissues}
     tissues = tuple(
         TissueSummary(
@@ -52,7 +64,7 @@ def inspect(
         title=title,
         frame=anatomy.frame,
         tissues=tissues,
-        findings=tuple(findings),
+        findings=(*findings, *close),
         overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
     )
 

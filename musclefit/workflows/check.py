@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from musclefit.io.run_folder import Maker, claimed, write_inspection
 from musclefit.pipeline.inspect import inspect
 from musclefit.progress import Progress
 from musclefit.report.model import MeshReport
+from musclefit.validate.closeness import GAP, SLOT, THIN
 from musclefit.validate.model import NotChecked
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import KindsGiven, kinds_given, paths_given, word
@@ -59,6 +61,8 @@ def check(
     units: Unit | str = Unit.MILLIMETRE,
     kinds: KindsGiven = (),
     fail_on: Sequence[str] = (),
+    thinnest_mm: float = 0.0,
+    smallest_gap_mm: float = 0.0,
     progress: Progress | None = None,
 ) -> Checked:
     """Report the overlaps and mesh faults of a layered anatomy as it is.
@@ -75,6 +79,10 @@ def check(
         What tissues are, ahead of what their file names say.
     fail_on : sequence of str
         Findings that fail the check beside overlaps and surfaces without an inside: any of ``FAULTS``.
+    thinnest_mm : float
+        Walls of a tissue that are thinner, and slots in it that are narrower, fail the check; 0 for not looking.
+    smallest_gap_mm : float
+        Two tissues that are closer, but do not overlap, fail the check (the skin left out); 0 for not looking.
     progress : Progress, optional
 
     Raises
@@ -86,16 +94,27 @@ def check(
     unknown = [code for code in fail_on if code not in FAULTS]
     if unknown:
         raise InputError(f"fail_on: found {unknown[0]!r}; known are {', '.join(FAULTS)}")
+    for name, limit in (("thinnest_mm", thinnest_mm), ("smallest_gap_mm", smallest_gap_mm)):
+        if not 0.0 <= limit < math.inf:
+            raise InputError(f"{name}: found {limit:g}; give a length of at least 0 mm")
+    close = (*((THIN, SLOT) if thinnest_mm else ()), *((GAP,) if smallest_gap_mm else ()))
     with claimed(None if out is None else Path(out), by=Maker.CHECK):
         unit, files = word(Unit, units, what="units"), paths_given(paths)
         with watched(progress) as stages:
             source = files[0] if len(files) == 1 and files[0].is_dir() else files
             read = read_anatomy(source, units=unit, kinds=kinds_given(kinds), progress=stages, leave_out=True)
             findings = (*read.unusable, *read.findings)
-            found = inspect(read.anatomy, findings=findings, title=str(files[0]), progress=stages)
+            found = inspect(
+                read.anatomy,
+                findings=findings,
+                title=str(files[0]),
+                thinnest_mm=thinnest_mm,
+                smallest_gap_mm=smallest_gap_mm,
+                progress=stages,
+            )
         left = tuple(NotChecked(finding.subject, finding.message) for finding in read.unusable)
         overlaps = replace(found.overlaps, not_checked=(*left, *found.overlaps.not_checked))
-        found = replace(found, overlaps=overlaps, fail_on=tuple(fail_on))
+        found = replace(found, overlaps=overlaps, fail_on=(*fail_on, *close))
         report = replace(found, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)}))
         if out is not None:
             write_inspection(Path(out), report)

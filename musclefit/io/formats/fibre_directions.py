@@ -38,7 +38,7 @@ def read_fibres(path: Path) -> Mapping[str, tuple[Points, Points]]:
         The file cannot be read, or is not as `fibre_bytes` makes it.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             names, muscle = [str(name) for name in stored["muscles"]], stored["muscle"]
             places, directions = stored["places_mm"], stored["directions"]
     except (OSError, ValueError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile) as error:

@@ -19,7 +19,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from musclefit.cli.commands import main as musclefit
-from musclefit.geometry.fitting import CylinderFit
 from musclefit.io.anatomy import read_surface
 from musclefit.rig.articulation import fitted_joint
 from musclefit.rig.joint_kinds import JointKind
@@ -199,14 +198,14 @@ def joints(name: str, region: Region, bones: list[Path]) -> dict[str, object]:
     """The table of the region's joint, fitted to two of its bones."""
     two = [next(path for path in bones if fits(path, (pattern,))) for pattern in region.joint]
     fixed, moving = (read_surface(path, units=Unit.MILLIMETRE).mesh() for path in two)
-    best = fitted_joint(fixed, moving, kind=region.kind, within_mm=5.0)[0].fit
+    best = fitted_joint(fixed, moving, kind=region.kind)
     joint: dict[str, object] = {
         "centre_mm": [float(v) for v in best.centre],
         "fixed": [f"bone_{path.stem}" for path in bones if fits(path, region.fixed)],
         "moving": [f"bone_{path.stem}" for path in bones if fits(path, region.moving)],
     }
-    if isinstance(best, CylinderFit):
-        joint |= {"axis": [float(v) for v in best.axis]}
+    if len(best.axes):
+        joint |= {"axis": [float(v) for v in best.axes[0]]}
     else:
         axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         joint |= {"kind": "ball", "axes": axes, "coordinates": [f"{name}_{axis}" for axis in "xyz"]}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json as json_text
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
+
+from musclefit.cli.options import print_json
 
 PASSED = 0
 
@@ -16,16 +17,26 @@ def fit_joint(
     moving: Annotated[Path, Parameter(help="Surface of the bone that the joint moves.")],
     /,
     *,
-    kind: Annotated[Literal["hinge", "ball"], Parameter(name="--kind", show_default=True)] = "hinge",
+    kind: Annotated[
+        Literal["hinge", "universal", "saddle", "ball"], Parameter(name="--kind", show_default=True)
+    ] = "hinge",
     within_mm: Annotated[
-        float, Parameter(name="--within-mm", help="Surfaces of the two within this distance count.", show_default=True)
+        float,
+        Parameter(
+            name="--within-mm",
+            help="Surfaces within this more than the smallest gap face each other.",
+            show_default=True,
+        ),
     ] = 5.0,
     units: Annotated[Literal["mm", "cm", "m"], Parameter(name="--units", show_default=True)] = "mm",
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, not a table of joints.")] = False,
 ) -> int:
-    """Fit a joint's axis or centre where two bones face each other, and print it for a table of joints."""
+    """Fit a joint's axes or centre where two bones face each other, and print it for a table of joints."""
     from musclefit.workflows.fit_joint import fit_joint as fitted
 
     found = fitted(fixed, moving, kind=kind, within_mm=within_mm, units=units)
-    print(json_text.dumps(found.to_json(), indent=2) if json else found.to_toml())
+    if json:
+        print_json(found.to_json())
+    else:
+        print(found.to_toml())
     return PASSED

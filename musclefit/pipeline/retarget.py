@@ -21,7 +21,7 @@ from musclefit.flow.residuals import surface_residuals
 from musclefit.flow.surface_refinement import Carried
 from musclefit.flow.tet_refinement import CarriedTets, HeldBones, carried_tets, mended_tets, moved_tets
 from musclefit.geometry.arrays import Float, Points
-from musclefit.geometry.fitting import weighted_quantile
+from musclefit.geometry.quantiles import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.crossings import TOUCHING_MM
 from musclefit.pipeline.chosen_settings import bone_choices, surface_choices

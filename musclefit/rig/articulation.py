@@ -1,22 +1,39 @@
-"""Joints fitted to bones: two surfaces in, axis or centre and residuals out, where they face each other."""
+r"""Joints fitted to bones: two surfaces in; axes or centre, and how sure they are, out.
+
+A joint moves one bone so that its surface slides along the other's: the joint's motion carries both surfaces into
+themselves. So an axis with direction a through c is sought about which both are, as nearly as can be, surfaces of
+revolution: their normals n at p lie in a plane with the axis, that is, :math:`n \cdot (a \times (p - c)) = 0`. No
+radius is in that, so a trochlea (a saddle), a roller and a condyle serve alike, and the two bones are fitted
+together, each with the same say however large its surface is. A ball's centre is where all normals meet. Bones are
+neither: the sines of the angles that are left over count by Geman and McClure's loss, so that places that fit no axis
+weigh no more the less they fit.
+
+References: Pottmann and Randrup, Rotational and helical surface approximation for reverse engineering, Computing 60
+(1998); Gelfand and Guibas, Shape segmentation using local slippage analysis, SGP 2004.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from musclefit.errors import InputError
-from musclefit.geometry.arrays import Float, Points
-from musclefit.geometry.fitting import CylinderFit, SphereFit, fitted_cylinder, fitted_sphere, weighted_quantile
+from musclefit.geometry.arrays import Bool, Float, Points, frozen
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.quantiles import weighted_quantile
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.rig.joint_kinds import JointKind
 
 WITHIN_MM = 5.0
-"""How close a place must come to the other bone to count as part of the joint's surface."""
+"""How far beyond the smallest gap between the bones a place may be to count as part of the joint's surface."""
+
+WIDEST_GAP = 3.0
+"""Times that distance: bones whose smallest gap is wider do not meet."""
 
 SAMPLES_WITHIN = 5.0
 """The surfaces are cut until their triangles reach no farther than that distance over this from their corners."""
@@ -24,121 +41,489 @@ SAMPLES_WITHIN = 5.0
 FACING = 0.5
 """Least cosine between the surface's normal and the way to the other bone."""
 
-TRIM = 2.5
-"""Places left over by more than this many times the median, by area, are left out, and the fit made again."""
-
-TRIM_ROUNDS = 5
-
 FEWEST = 30
-"""Samples that a fit needs; as they are cut alike, they stand for an area."""
+"""Samples that a fit needs of each bone; as they are cut alike, they stand for an area."""
+
+AROUND = 1.5
+"""How far the bones' ends reach around the middle of what faces each other, in times its root mean square radius: of a
+condyle, only a part faces the other bone in any one pose, and the whole of it turns about the axis."""
+
+SAMPLES = 800
+"""Of each bone, drawn by area, that the axis is fitted to."""
+
+SLOPE = 0.2
+"""Scale of the loss: the sine of the angle between a normal and the plane that it should lie in."""
+
+BLUR = 0.15
+"""Share of the joint's size within which a place is too near to an axis to tell its direction."""
+
+ALONG = 0.6
+"""Largest cosine between a hinge and a bone's length: a hinge swings a long bone, and does not spin it."""
+
+LONG = 1.5
+"""A bone is long where its middle is farther than this from the joint's, in times the joint's size."""
+
+FARTHEST = 2.0
+"""How far an axis may be from the joint's middle, in times the joint's size."""
+
+DIRECTIONS = 60
+"""Of axes that are tried, over half of the sphere."""
+
+STARTS = 10
+"""The best of what is tried, which are refined."""
+
+NEARLY = 1.1
+"""An axis whose loss is up to this many times the best one's fits nearly as well."""
+
+APART_DEG = 15.0
+"""Axes nearer to each other are the same one."""
+
+DRAWS = 40
+"""Of the patches of the surfaces, with replacement, that the fit is made again from."""
+
+PATCH = 0.5
+"""Size of these patches, in times the joint's size."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class FittedJoint:
-    """A joint's axis or centre from the surface of one of its bones.
+class Side:
+    """What one of the bones says of the joint.
 
     Parameters
     ----------
     of : str
-        Whose surface: "fixed" or "moving".
-    fit : CylinderFit or SphereFit
-        Of a hinge, or of a ball.
-    used_mm2, left_out_mm2 : float
-        Area that the fit rests on, and that of the joint's surface that it does not fit.
+        "fixed" or "moving".
+    facing_mm2 : float
+        Area that faces the other bone.
+    radius_mm : float
+        Median distance of that area from the first axis, or from the centre.
+    slope_deg : float
+        Median angle by which the bone's end, as far as it counts, is off a surface that slides along itself.
+    alone_deg, alone_mm : float
+        How far the joint that is fitted to this bone alone is from the joint: the angle of the first axis, which is 0
+        for a ball, and the distance.
     """
 
     of: str
-    fit: CylinderFit | SphereFit
-    used_mm2: float
-    left_out_mm2: float
+    facing_mm2: float
+    radius_mm: float
+    slope_deg: float
+    alone_deg: float
+    alone_mm: float
 
 
-def fitted_joint(
-    fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm: float = WITHIN_MM
-) -> tuple[FittedJoint, ...]:
-    """Fit a hinge or a ball to each of two bones where it faces the other; the better fit first.
+@dataclass(frozen=True, eq=False, slots=True)
+class FittedJoint:
+    """A joint fitted to two bones.
 
-    Every place counts by its area, however finely the surfaces are cut.
+    Parameters
+    ----------
+    kind : JointKind
+    centre : (3,) float64, mm
+        Of an axis, the point nearest to the middle of what faces; of two that do not meet, the middle between them.
+    axes : (n, 3) float64
+        One of a hinge, two of a universal joint, none of a ball.
+    apart_mm : float
+        Distance of two axes from each other, 0 where there is one or none: of a saddle they lie on either side of it.
+    gap_mm : float
+        Smallest gap between the bones.
+    sides : tuple of Side
+        Of the fixed bone and of the moving one.
+    uncertain_deg, uncertain_mm : float
+        Standard deviation of the first axis' direction, and of the place of a hinge's axis or another joint's centre,
+        when the surfaces' patches are drawn anew.
+    other_deg : float
+        Angle of the next best axis with another direction where it is nearly as good, else 0.
+    """
+
+    kind: JointKind
+    centre: Points
+    axes: Float
+    apart_mm: float
+    gap_mm: float
+    sides: tuple[Side, ...]
+    uncertain_deg: float
+    uncertain_mm: float
+    other_deg: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _End:
+    """Samples of a bone's end: places, outward normals, area each, and whether it faces the other bone."""
+
+    points: Points
+    normals: Points
+    areas: Float
+    facing: Bool
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Line:
+    """An axis and the loss that is left over."""
+
+    at: Points
+    along: Float
+    loss: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Region:
+    """Where the joint is: the middle of what faces, its size, and directions that a hinge is not along."""
+
+    middle: Points
+    size: float
+    lengths: Float
+
+    def allows(self, line: _Line, *, swings: bool) -> bool:
+        away = np.linalg.norm(np.cross(line.at - self.middle, line.along))
+        return bool(away <= FARTHEST * self.size) and not (swings and self.spins(line.along[None])[0])
+
+    def spins(self, directions: Float) -> Bool:
+        along: Bool = np.any(np.abs(directions @ self.lengths.T) > ALONG, axis=1)
+        return along
+
+
+def fitted_joint(fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm: float = WITHIN_MM) -> FittedJoint:
+    """Fit a hinge, a universal joint (a saddle is one) or a ball to two bones where they face each other.
+
+    Every place counts by its area, however finely the surfaces are cut, and each bone as much as the other.
 
     Parameters
     ----------
     fixed, moving : TriMesh
         At rest, mm.
     kind : JointKind
-        A hinge is the axis of a cylinder, a ball the centre of a sphere.
     within_mm : float
-
-    Returns
-    -------
-    tuple of FittedJoint
-        Sorted by the root mean square of the residuals over the radius. Bones are no cylinders: how far the two agree
-        tells more than either residual.
+        See `WITHIN_MM`.
 
     Raises
     ------
     InputError
-        Another kind, or bones that do not face each other within the distance.
+        Another kind, a distance that is none, or bones that do not face each other within it.
     """
-    if kind not in (JointKind.HINGE, JointKind.BALL):
-        raise InputError(f"found kind {str(kind)!r}; only a hinge and a ball can be fitted to two bones")
-    found = []
-    for of, own, other in (("fixed", fixed, moving), ("moving", moving, fixed)):
-        points, normals, areas = facing_triangles(own, other, within_mm=within_mm)
-        if len(points) < FEWEST:
-            raise InputError(
-                f"{areas.sum():.3g} mm² of the {of} bone face the other within {within_mm:g} mm ({len(points)} "
-                f"samples; a fit needs {FEWEST}): give bones that meet in a joint, or a larger distance"
-            )
-        kept = np.ones(len(points), dtype=bool)
-        fit = _fit(points, normals, areas, kind)
-        for _ in range(TRIM_ROUNDS):
-            off = np.abs(_off(fit, points))
-            fresh = off <= TRIM * max(weighted_quantile(off[kept], areas[kept], 0.5), 1e-9)
-            if (fresh == kept).all() or fresh.sum() < FEWEST:
-                break
-            kept = fresh
-            fit = _fit(points[kept], normals[kept], areas[kept], kind, before=fit)
-        found.append(FittedJoint(of, fit, float(areas[kept].sum()), float(areas[~kept].sum())))
-    return tuple(sorted(found, key=lambda joint: joint.fit.rms / joint.fit.radius))
+    if kind not in (JointKind.HINGE, JointKind.UNIVERSAL, JointKind.BALL):
+        raise InputError(
+            f"found kind {str(kind)!r}; only a hinge, a universal joint and a ball can be fitted to two bones"
+        )
+    if not 0.0 < within_mm < np.inf:
+        raise InputError(f"within_mm is {within_mm:g}; give a distance in mm above 0")
+    ends, region, gap = _ends(fixed, moving, within_mm)
+    drawn = [_drawn(end, np.random.default_rng(number)) for number, end in enumerate(ends)]
+    if kind is JointKind.BALL:
+        return _ball(drawn, ends, region, gap)
+    return _axes(drawn, ends, region, gap, swings=kind is JointKind.HINGE)
 
 
-def facing_triangles(own: TriMesh, other: TriMesh, *, within_mm: float) -> tuple[Points, Points, Float]:
-    """Middles, outward normals and areas of the small triangles of a surface that face another one close by.
+# Where the bones face each other
+
+
+def _near_triangles(own: TriMesh, other: TriMesh, *, within_mm: float) -> tuple[Points, Points, Float, Float, Float]:
+    """Middles, outward normals and areas of a surface's small triangles near another one, distance and cosine to it.
 
     The surface is cut to samples (`surface_samples`) first, so that they are alike whatever triangles it has.
     """
     low, high = other.vertices.min(axis=0) - within_mm, other.vertices.max(axis=0) + within_mm
+    middles, normals, areas = _triangles(own, low, high, spacing_mm=within_mm / WIDEST_GAP / SAMPLES_WITHIN)
+    if not len(middles):
+        return middles, normals, areas, areas, areas
+    places = nearest_places(middles, other)
+    way = (places.places - middles) / np.maximum(places.distances, 1e-12)[:, None]
+    return middles, normals, areas, places.distances, np.einsum("ti,ti->t", way, normals)
+
+
+def _triangles(own: TriMesh, low: Points, high: Points, *, spacing_mm: float) -> tuple[Points, Points, Float]:
     corners = own.corners()
     near = ((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1)
     if not near.any():
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
-    part = surface_samples(TriMesh(own.vertices, own.faces[near]), spacing_mm=within_mm / SAMPLES_WITHIN).mesh
+    part = surface_samples(TriMesh(own.vertices, own.faces[near]), spacing_mm=spacing_mm).mesh
     vectors = area_vectors(part)
     areas = np.linalg.norm(vectors, axis=1)
-    normals = vectors / np.where(areas > 0.0, areas, 1.0)[:, None]
     middles = part.corners().mean(axis=1)
-    inside = np.flatnonzero(((middles > low) & (middles < high)).all(axis=1) & (areas > 0.0))
-    if not inside.size:
-        return middles[:0], normals[:0], areas[:0]
-    places = nearest_places(middles[inside], other)
-    way = (places.places - middles[inside]) / np.maximum(places.distances, 1e-12)[:, None]
-    facing = (places.distances < within_mm) & (np.einsum("ti,ti->t", way, normals[inside]) > FACING)
-    chosen = inside[facing]
-    return middles[chosen], normals[chosen], areas[chosen]
+    inside = ((middles > low) & (middles < high)).all(axis=1) & (areas > 0.0)
+    return middles[inside], vectors[inside] / areas[inside, None], areas[inside]
 
 
-def _fit(
-    points: Points, normals: Points, areas: Float, kind: JointKind, *, before: CylinderFit | SphereFit | None = None
-) -> CylinderFit | SphereFit:
-    if kind is JointKind.BALL:
-        return fitted_sphere(points, weights=areas)
-    near = before.axis if isinstance(before, CylinderFit) else None
-    return fitted_cylinder(points, normals, weights=areas, near=near)
+def _ends(fixed: TriMesh, moving: TriMesh, within_mm: float) -> tuple[list[_End], _Region, float]:
+    reach = (1.0 + WIDEST_GAP) * within_mm
+    near = [_near_triangles(own, other, within_mm=reach) for own, other in ((fixed, moving), (moving, fixed))]
+    gap = min((float(found[3].min()) for found in near if len(found[3])), default=np.inf)
+    if not gap <= WIDEST_GAP * within_mm:
+        said = f"{gap:.3g} mm" if np.isfinite(gap) else f"more than {reach:g} mm"
+        raise InputError(
+            f"the two bones are {said} apart where they are closest, more than {WIDEST_GAP * within_mm:g} mm; give "
+            "bones that meet in a joint, or a larger distance"
+        )
+    facing = [(found[3] < gap + within_mm) & (found[4] > FACING) for found in near]
+    for of, found, there in zip(("fixed", "moving"), near, facing, strict=True):
+        if there.sum() < FEWEST:
+            raise InputError(
+                f"{found[2][there].sum():.3g} mm² of the {of} bone face the other within {within_mm:g} mm of the "
+                f"smallest gap, {gap:.3g} mm ({there.sum()} samples; a fit needs {FEWEST}): give bones that meet in a "
+                "joint, or a larger distance"
+            )
+    middle = np.mean([np.average(f[0][t], axis=0, weights=f[2][t]) for f, t in zip(near, facing, strict=True)], axis=0)
+    off = [
+        np.average(((f[0][t] - middle) ** 2).sum(axis=1), weights=f[2][t]) for f, t in zip(near, facing, strict=True)
+    ]
+    size = float(np.sqrt(np.mean(off)))
+    ends = []
+    for own, found, there in zip((fixed, moving), near, facing, strict=True):
+        radius = AROUND * size
+        points, normals, areas = _triangles(own, middle - radius, middle + radius, spacing_mm=size / 10.0)
+        around = np.linalg.norm(points - middle, axis=1) < radius
+        ends.append(_End(points[around], normals[around], areas[around], np.zeros(int(around.sum()), dtype=bool)))
+        ends[-1] = _with_facing(ends[-1], found[0][there], found[1][there], found[2][there])
+    lengths = [own.vertices.mean(axis=0) - middle for own in (fixed, moving)]
+    far = [way / np.linalg.norm(way) for way in lengths if np.linalg.norm(way) > LONG * size]
+    return ends, _Region(middle, size, np.array(far).reshape(-1, 3)), gap
 
 
-def _off(fit: CylinderFit | SphereFit, points: Points) -> Float:
-    off = points - fit.centre
-    if isinstance(fit, CylinderFit):
-        off = off - np.outer(off @ fit.axis, fit.axis)
-    distances: Float = np.linalg.norm(off, axis=1) - fit.radius
-    return distances
+def _with_facing(end: _End, points: Points, normals: Points, areas: Float) -> _End:
+    return _End(
+        np.concatenate([end.points, points]),
+        np.concatenate([end.normals, normals]),
+        np.concatenate([end.areas, areas]),
+        np.concatenate([end.facing, np.ones(len(points), dtype=bool)]),
+    )
+
+
+def _drawn(end: _End, rng: np.random.Generator) -> _End:
+    """Samples of an end by area; what faces the other bone counts twice, as it is in the end too."""
+    chosen = rng.choice(len(end.areas), size=SAMPLES, p=end.areas / end.areas.sum())
+    return _End(end.points[chosen], end.normals[chosen], np.ones(SAMPLES), end.facing[chosen])
+
+
+# Axes
+
+
+def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: float, *, swings: bool) -> FittedJoint:
+    second: _Line | None
+    lines = _best_lines(drawn, region, swings=swings)
+    first = lines[0]
+    axes, centre, apart, second = first.along[None], _nearest_on(first, region.middle), 0.0, None
+    if not swings:
+        second = _best_lines(drawn, region, swings=False, across=first.along)[0]
+        axes = np.array([first.along, second.along])
+        between = np.cross(first.along, second.along)
+        between = between / np.linalg.norm(between)
+        apart = float((second.at - first.at) @ between)
+        centre = _between(first, second)
+    alone = [_best_lines([end], region, swings=swings)[0] for end in drawn]
+    others = [line for line in lines[1:] if line.loss < NEARLY * first.loss]
+    if second is not None:
+        others = [line for line in others if _angle(line.along, second.along) > APART_DEG]
+    draws = [_refined(sample, first, region) for sample in _redrawn(drawn, region)]
+    angles = np.array([_angle(line.along, first.along) for line in draws])
+    if second is None:
+        off = np.array([_line_distance(first, line, centre) for line in draws])
+    else:
+        seconds = [
+            _refined(sample, _turned(second, line.along), region, across=line.along)
+            for sample, line in zip(_redrawn(drawn, region), draws, strict=True)
+        ]
+        places = [_between(line, other) for line, other in zip(draws, seconds, strict=True)]
+        off = np.linalg.norm(np.array(places) - centre, axis=1)
+    sides = tuple(
+        _side(of, end, small, first, _angle(line.along, first.along), _line_distance(line, first, centre))
+        for of, end, small, line in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
+    )
+    kind = JointKind.HINGE if swings else JointKind.UNIVERSAL
+    return FittedJoint(
+        kind,
+        frozen(centre),
+        frozen(axes),
+        abs(apart),
+        gap,
+        sides,
+        float(np.sqrt((angles**2).mean())),
+        float(np.sqrt((off**2).mean())),
+        max((_angle(line.along, first.along) for line in others), default=0.0),
+    )
+
+
+def _sines(end: _End, at: Points, along: Float, blur: float) -> Float:
+    """Of the angles between normals and the planes through the axis; small where the place is near the axis."""
+    way = np.cross(along, end.points - at)
+    sines: Float = np.einsum("ni,ni->n", end.normals, way) / np.sqrt((way**2).sum(axis=1) + blur**2)
+    return sines
+
+
+def _loss_roots(end: _End, at: Points, along: Float, blur: float) -> Float:
+    """Roots of Geman and McClure's loss, whose squares' mean is the loss."""
+    sines = _sines(end, at, along, blur)
+    roots: Float = np.sqrt(end.areas / end.areas.sum()) * sines / np.sqrt(sines**2 + SLOPE**2)
+    return roots
+
+
+def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool, across: Float | None = None) -> list[_Line]:
+    """The best axes with directions apart from each other, the best first."""
+    blur = BLUR * region.size
+    directions = _directions() if across is None else _directions_across(across)
+    if swings and len(region.lengths):
+        directions = directions[~region.spins(directions)]
+    tried = []
+    for along in directions:
+        u, v = _across(along)
+        for x, y in ((0, 0), (0.7, 0), (-0.7, 0), (0, 0.7), (0, -0.7), (1.3, 0), (-1.3, 0), (0, 1.3), (0, -1.3)):
+            at = region.middle + region.size * (x * u + y * v)
+            loss = float(np.mean([(_loss_roots(end, at, along, blur) ** 2).sum() for end in ends]))
+            tried.append(_Line(at, along, loss))
+    tried.sort(key=lambda line: line.loss)
+    found: list[_Line] = []
+    for line in tried[:STARTS]:
+        fine = _refined(ends, line, region, across=across)
+        if region.allows(fine, swings=swings):
+            found.append(fine)
+    if not found:
+        found = [next(line for line in tried if region.allows(line, swings=swings))]
+    found.sort(key=lambda line: line.loss)
+    apart: list[_Line] = []
+    for line in found:
+        if all(_angle(line.along, other.along) > APART_DEG for other in apart):
+            apart.append(line)
+    return apart
+
+
+def _refined(ends: Sequence[_End], start: _Line, region: _Region, *, across: Float | None = None) -> _Line:
+    """The best line near a start; where ``across`` is given, at right angles to it, as the start is."""
+    u, v = _across(start.along)
+    turns = np.array([u, v]) if across is None else np.cross(across, start.along)[None]
+    blur = BLUR * region.size
+
+    def line(x: Float) -> tuple[Points, Float]:
+        along = start.along + x[2:] @ turns
+        return start.at + region.size * (x[0] * u + x[1] * v), along / np.linalg.norm(along)
+
+    def roots(x: Float) -> Float:
+        at, along = line(x)
+        return np.concatenate([_loss_roots(end, at, along, blur) for end in ends])
+
+    found = least_squares(roots, np.zeros(2 + len(turns)), method="lm", max_nfev=200)
+    at, along = line(found.x)
+    return _Line(at, along, 2.0 * float(found.cost) / len(ends))
+
+
+def _directions() -> Float:
+    """Directions evenly over half of the sphere."""
+    number = np.arange(2 * DIRECTIONS) + 0.5
+    z, turn = 1.0 - number / DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * number
+    all_of_them = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
+    half: Float = all_of_them[z > 0.0]
+    return half
+
+
+def _directions_across(axis: Float) -> Float:
+    u, v = _across(axis)
+    turns = np.arange(18) * np.pi / 18
+    found: Float = np.cos(turns)[:, None] * u + np.sin(turns)[:, None] * v
+    return found
+
+
+# Balls
+
+
+def _ball(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: float) -> FittedJoint:
+    centre = _best_centre(drawn, region)
+    alone = [_best_centre([end], region) for end in drawn]
+    draws = [_refined_centre(sample, centre, region)[0] for sample in _redrawn(drawn, region)]
+    off = np.linalg.norm(np.array(draws) - centre, axis=1)
+    sides = tuple(
+        _side(of, end, small, centre, 0.0, float(np.linalg.norm(own - centre)))
+        for of, end, small, own in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
+    )
+    spread = float(np.sqrt((off**2).mean()))
+    return FittedJoint(JointKind.BALL, frozen(centre), np.zeros((0, 3)), 0.0, gap, sides, 0.0, spread, 0.0)
+
+
+def _best_centre(ends: Sequence[_End], region: _Region) -> Points:
+    steps = np.linspace(-1.5, 1.5, 5)
+    starts = [region.middle + region.size * np.array([x, y, z]) for x in steps for y in steps for z in steps]
+    losses = [np.mean([(_centre_roots(end, at, BLUR * region.size) ** 2).sum() for end in ends]) for at in starts]
+    best = np.argsort(losses)[:STARTS]
+    return min((_refined_centre(ends, starts[k], region) for k in best), key=lambda found: found[1])[0]
+
+
+def _centre_roots(end: _End, at: Points, blur: float) -> Float:
+    way = end.points - at
+    sines = np.linalg.norm(np.cross(end.normals, way), axis=1) / np.sqrt((way**2).sum(axis=1) + blur**2)
+    roots: Float = np.sqrt(end.areas / end.areas.sum()) * sines / np.sqrt(sines**2 + SLOPE**2)
+    return roots
+
+
+def _refined_centre(ends: Sequence[_End], start: Points, region: _Region) -> tuple[Points, float]:
+    blur = BLUR * region.size
+
+    def roots(x: Float) -> Float:
+        return np.concatenate([_centre_roots(end, start + region.size * x, blur) for end in ends])
+
+    found = least_squares(roots, np.zeros(3), method="lm", max_nfev=200)
+    return start + region.size * found.x, 2.0 * float(found.cost) / len(ends)
+
+
+# How sure
+
+
+def _redrawn(ends: Sequence[_End], region: _Region) -> Iterator[list[_End]]:
+    """The ends with their patches drawn anew, with replacement: neighbours err together, so samples are not."""
+    rng = np.random.default_rng(0)
+    patches = [
+        np.unique(np.floor(end.points / (PATCH * region.size)), axis=0, return_inverse=True)[1].ravel() for end in ends
+    ]
+    for _ in range(DRAWS):
+        sample = []
+        for end, patch in zip(ends, patches, strict=True):
+            count = int(patch.max()) + 1
+            times = np.bincount(rng.integers(0, count, count), minlength=count)[patch]
+            sample.append(_End(end.points, end.normals, end.areas * times, end.facing))
+        yield sample
+
+
+def _turned(line: _Line, across: Float) -> _Line:
+    """The line with its direction at right angles to another one."""
+    along = line.along - (line.along @ across) * across
+    return _Line(line.at, along / np.linalg.norm(along), line.loss)
+
+
+def _side(of: str, end: _End, drawn: _End, joint: _Line | Points, turned: float, apart: float) -> Side:
+    facing = end.points[end.facing]
+    if isinstance(joint, _Line):
+        radii = np.linalg.norm(np.cross(facing - joint.at, joint.along), axis=1)
+        sines = np.abs(_sines(drawn, joint.at, joint.along, 1e-9))
+    else:
+        radii = np.linalg.norm(facing - joint, axis=1)
+        way = drawn.points - joint
+        sines = np.linalg.norm(np.cross(drawn.normals, way), axis=1) / np.linalg.norm(way, axis=1)
+    areas = end.areas[end.facing]
+    slope = float(np.degrees(np.arcsin(min(1.0, float(np.median(sines))))))
+    return Side(of, float(areas.sum()), weighted_quantile(radii, areas, 0.5), slope, turned, apart)
+
+
+def _angle(a: Float, b: Float) -> float:
+    return float(np.degrees(np.arccos(np.clip(abs(a @ b), 0.0, 1.0))))
+
+
+def _nearest_on(line: _Line, point: Points) -> Points:
+    nearest: Points = line.at + ((point - line.at) @ line.along) * line.along
+    return nearest
+
+
+def _line_distance(line: _Line, other: _Line, near: Points) -> float:
+    """How far a line is from another one where that is nearest to a point."""
+    place = _nearest_on(other, near)
+    return float(np.linalg.norm(_nearest_on(line, place) - place))
+
+
+def _between(first: _Line, second: _Line) -> Points:
+    """The middle of the shortest way between two lines that are at right angles."""
+    on_first = first.at + ((second.at - first.at) @ first.along) * first.along
+    on_second = second.at + ((first.at - second.at) @ second.along) * second.along
+    return 0.5 * (on_first + on_second)
+
+
+def _across(axis: Float) -> tuple[Float, Float]:
+    """Two directions at right angles to an axis and to each other."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    u = np.cross(axis, helper)
+    u = u / np.linalg.norm(u)
+    return u, np.cross(axis, u)

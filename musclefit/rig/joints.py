@@ -18,6 +18,9 @@ from musclefit.vocabulary import Unit
 _TEXTS = ("units", "source", "order")
 """Top-level keys that are not joints; ``order`` is prose for the reader, the composition follows from the bones."""
 
+MOST_TURN_DEG = 360.0
+"""How far a coordinate without limits turns: a pose beyond it is a slip or another unit, and takes long to walk to."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JointSystem:
@@ -97,6 +100,11 @@ class JointSystem:
                 raise RigError(
                     f"pose of {name!r}: found {degrees:g} degrees, but limits_deg in {self.source} is "
                     f"[{low:g}, {high:g}]; pose it inside"
+                )
+            if abs(degrees) > MOST_TURN_DEG and not np.isfinite([low, high]).all():
+                raise RigError(
+                    f"pose of {name!r}: found {degrees:g} degrees, and {self.source} gives it no limits_deg; a joint "
+                    f"without limits turns at most {MOST_TURN_DEG:g} degrees either way: correct the pose or add limits"
                 )
 
     def motions(self, pose: Mapping[str, float]) -> Mapping[str, RigidMotion]:

@@ -3,135 +3,140 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from musclefit.geometry.arrays import Float
-from musclefit.geometry.fitting import CylinderFit
 from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.tables import toml_string
-from musclefit.rig.articulation import FittedJoint, fitted_joint
+from musclefit.rig.articulation import WITHIN_MM, FittedJoint, fitted_joint
 from musclefit.rig.joint_kinds import JointKind
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import word
 from musclefit.workflows.results import Shown
 
-WITHIN_MM = 5.0
+SADDLE = "saddle"
+"""Another word for a universal joint: its two axes lie on either side of the surfaces."""
 
-SURE_DEG = 60.0
-"""An axis of less of a cylinder is uncertain."""
+SURE_DEG, SURE_MM = 10.0, 5.0
+"""A joint whose standard deviations are beyond these is not to be believed without a look."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
 class JointFit(Shown):
-    """A joint fitted to two bones: the fit to each of them, the better one first."""
+    """A joint fitted to two bones.
+
+    Parameters
+    ----------
+    fixed, moving : str
+        The bones' names.
+    found : FittedJoint
+    """
 
     fixed: str
     moving: str
-    kind: JointKind
-    fits: tuple[FittedJoint, ...]
+    found: FittedJoint
+
+    @property
+    def kind(self) -> JointKind:
+        """Hinge, universal or ball."""
+        return self.found.kind
 
     @property
     def centre_mm(self) -> Float:
         """(3,) a point of the axis, or the centre, mm."""
-        return self.fits[0].fit.centre
+        return self.found.centre
 
     @property
     def axis(self) -> Float | None:
-        """(3,) of length 1; None of a ball."""
-        best = self.fits[0].fit
-        return best.axis if isinstance(best, CylinderFit) else None
+        """(3,) of length 1, of a hinge; the first of a universal joint; None of a ball."""
+        return self.found.axes[0] if len(self.found.axes) else None
 
     @property
-    def apart_mm(self) -> float:
-        """How far the axes, or the centres, of the two bones are from each other."""
-        apart = self.fits[1].fit.centre - self.centre_mm
-        if self.axis is not None:
-            apart = apart - (apart @ self.axis) * self.axis
-        return float(np.linalg.norm(apart))
-
-    @property
-    def turned_deg(self) -> float | None:
-        """By how much the axes of the two bones differ; None of a ball."""
-        other = self.fits[1].fit
-        if self.axis is None or not isinstance(other, CylinderFit):
-            return None
-        return float(np.degrees(np.arccos(np.clip(abs(self.axis @ other.axis), 0.0, 1.0))))
+    def believable(self) -> bool:
+        """Whether the fit is sure within 10 degrees and 5 mm, and no other axis fits nearly as well."""
+        found = self.found
+        return found.uncertain_deg <= SURE_DEG and found.uncertain_mm <= SURE_MM and not found.other_deg
 
     def said(self) -> str:
-        """Centre and axis in a line."""
-        axis = "" if self.axis is None else f", axis {_listed(self.axis, 6)}"
-        return f"{self.kind.value} of {self.fixed} and {self.moving}: centre {_listed(self.centre_mm, 3)} mm{axis}"
+        """Centre and axes in a line."""
+        axes = "".join(f", axis {_listed(axis, 6)}" for axis in self.found.axes)
+        return f"{self.kind.value} of {self.fixed} and {self.moving}: centre {_listed(self.centre_mm, 3)} mm{axes}"
 
     def agreement(self) -> str:
-        """How far the fits to the two bones agree, in words."""
-        if self.turned_deg is None:
-            return f"the centres of the two bones are {self.apart_mm:.2f} mm apart"
-        return f"the axes of the two bones differ by {self.turned_deg:.1f} deg and {self.apart_mm:.2f} mm"
+        """How sure the fit is, in words."""
+        found = self.found
+        turned = f"{found.uncertain_deg:.1f} deg and " if len(found.axes) else ""
+        said = f"uncertain by {turned}{found.uncertain_mm:.2f} mm (standard deviation)"
+        if found.other_deg:
+            said += f"; an axis {found.other_deg:.0f} deg from it fits nearly as well"
+        return said if self.believable else f"{said}: look at it before you believe it"
 
     def tables(self) -> Mapping[str, Iterable[Any]]:
-        """The fits."""
-        return {"fits": [self._row(found) for found in self.fits]}
+        """What each bone says."""
+        return {"sides": [asdict(side) for side in self.found.sides]}
 
     def to_json(self) -> dict[str, Any]:
         """All of it as JSON values, lengths in mm, angles in degrees."""
+        found = self.found
         return {
             "kind": self.kind.value,
             "fixed": self.fixed,
             "moving": self.moving,
             "centre_mm": [float(v) for v in self.centre_mm],
-            "axis": None if self.axis is None else [float(v) for v in self.axis],
-            "apart_mm": self.apart_mm,
-            "turned_deg": self.turned_deg,
-            "fits": [self._row(found) for found in self.fits],
+            "axes": [[float(v) for v in axis] for axis in found.axes],
+            "axes_apart_mm": found.apart_mm,
+            "gap_mm": found.gap_mm,
+            "believable": self.believable,
+            "uncertain_deg": found.uncertain_deg,
+            "uncertain_mm": found.uncertain_mm,
+            "other_deg": found.other_deg,
+            "sides": [asdict(side) for side in found.sides],
         }
 
     def to_toml(self) -> str:
-        """As it stands in a table of joints, with what the fits leave over as comments."""
+        """As it stands in a table of joints, with how sure it is as comments."""
         lines = [
             'units = "mm, degrees"',
             "",
             "[joint]                  # name it, and add the other bones that it moves",
-        ]
-        if self.axis is None:
-            axes, names = np.eye(3).tolist(), '["joint_x", "joint_y", "joint_z"]'
-            lines += ['kind = "ball"', f"axes = {axes}", f"coordinates = {names}"]
-        else:
-            lines.append(f"axis = {_listed(self.axis, 6)}")
-        lines += [
-            f"centre_mm = {_listed(self.centre_mm, 3)}",
+            *self.entry("joint"),
             f"fixed = [{toml_string(self.fixed)}]",
             f"moving = [{toml_string(self.moving)}]",
             "",
+            f"# {self.agreement()}",
         ]
-        for found in self.fits:
-            fit = found.fit
-            most = np.abs(fit.residuals).max()
+        if self.kind is JointKind.UNIVERSAL:
             lines.append(
-                f"# {found.of} bone: radius {fit.radius:.2f} mm, off by {fit.rms:.2f} mm rms and {most:.2f} mm at most "
-                f"on {found.used_mm2:.0f} mm², {found.left_out_mm2:.0f} mm² left out"
+                f"# its two axes are {self.found.apart_mm:.1f} mm apart; a universal joint has them meet between"
             )
-            if isinstance(fit, CylinderFit):
-                uncertain = ", too little to be sure of it" if fit.spread < SURE_DEG else ""
-                lines[-1] += f", which reach {fit.spread:.0f} deg around the axis{uncertain}"
-        lines.append(f"# {self.agreement()}")
+        for side in self.found.sides:
+            turned = f"{side.alone_deg:.1f} deg and " if len(self.found.axes) else ""
+            lines.append(
+                f"# {side.of} bone: {side.facing_mm2:.0f} mm² face the other, {side.radius_mm:.2f} mm from the "
+                f"{'axis' if len(self.found.axes) else 'centre'}; its end is {side.slope_deg:.0f} deg off a surface "
+                f"that slides along itself; alone it gives a joint {turned}{side.alone_mm:.2f} mm from this one"
+            )
         return "\n".join(lines)
 
-    @staticmethod
-    def _row(found: FittedJoint) -> dict[str, Any]:
-        fit = found.fit
-        return {
-            "bone": found.of,
-            "radius_mm": fit.radius,
-            "rms_mm": fit.rms,
-            "largest_mm": float(np.abs(fit.residuals).max()),
-            "used_mm2": found.used_mm2,
-            "left_out_mm2": found.left_out_mm2,
-            "around_axis_deg": fit.spread if isinstance(fit, CylinderFit) else None,
-        }
+    def entry(self, name: str) -> list[str]:
+        """The lines of a table of joints that say centre, kind and axes; coordinates begin with a name."""
+        centre = f"centre_mm = {_listed(self.centre_mm, 3)}"
+        if self.kind is JointKind.HINGE:
+            return [centre, f"axis = {_listed(self.found.axes[0], 6)}"]
+        axes = np.eye(3) if self.kind is JointKind.BALL else self.found.axes
+        coordinates = ", ".join(toml_string(coordinate) for coordinate in self.coordinates(name))
+        listed = ", ".join(str(_listed(axis, 6)) for axis in axes)
+        return [centre, f'kind = "{self.kind.value}"', f"axes = [{listed}]", f"coordinates = [{coordinates}]"]
+
+    def coordinates(self, name: str) -> list[str]:
+        """What a pose calls the joint's angles."""
+        if self.kind is JointKind.HINGE:
+            return [name]
+        return [f"{name}_{letter}" for letter in ("xyz" if self.kind is JointKind.BALL else "ab")]
 
 
 def fit_joint(
@@ -142,15 +147,16 @@ def fit_joint(
     within_mm: float = WITHIN_MM,
     units: Unit | str = Unit.MILLIMETRE,
 ) -> JointFit:
-    """Fit a joint's axis, or a ball's centre, where two bones face each other.
+    """Fit a joint's axes, or a ball's centre, where two bones face each other.
 
     Parameters
     ----------
     fixed, moving : path
         Surfaces of the bone that carries the joint and of the one that it moves.
-    kind : {"hinge", "ball"}
+    kind : {"hinge", "universal", "saddle", "ball"}
+        A saddle is a universal joint whose axes lie on either side of the surfaces.
     within_mm : float
-        Surfaces of the two within this distance count.
+        Surfaces of the two that are within this distance more than their smallest gap face each other.
     units : {"mm", "cm", "m"}
         Of the files.
 
@@ -159,10 +165,10 @@ def fit_joint(
     InputError, MeshError
         Files that cannot be read, or bones that face each other nowhere.
     """
-    unit, joint = word(Unit, units, what="units"), word(JointKind, kind, what="kind")
+    unit = word(Unit, units, what="units")
+    joint = JointKind.UNIVERSAL if kind == SADDLE else word(JointKind, kind, what="kind")
     first, second = (read_surface(Path(path), units=unit).mesh() for path in (fixed, moving))
-    fits = fitted_joint(first, second, kind=joint, within_mm=within_mm)
-    return JointFit(Path(fixed).stem, Path(moving).stem, joint, tuple(fits))
+    return JointFit(Path(fixed).stem, Path(moving).stem, fitted_joint(first, second, kind=joint, within_mm=within_mm))
 
 
 def _listed(values: Float, decimals: int) -> str:

@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.label_surfaces import LabelFit, label_anatomy, label_fits
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
@@ -214,11 +212,13 @@ def _joints(anatomy: Anatomy, within_mm: float) -> tuple[tuple[LabelledJoint, ..
     for joint in named_joints([bone.name for bone in bones], meeting=meeting):
         fixed, moving = anatomy[joint.fixed].surface, anatomy[joint.moving].surface
         try:
-            fits = fitted_joint(fixed, moving, kind=joint.kind, within_mm=within_mm)
+            found = fitted_joint(fixed, moving, kind=joint.kind, within_mm=within_mm)
         except InputError as error:
             told.append(Finding(joint.name, "joint-not-fitted", f"{joint.name}: could not be fitted: {error}"))
             continue
-        fitted.append(LabelledJoint(joint, JointFit(joint.fixed, joint.moving, joint.kind, tuple(fits))))
+        fitted.append(LabelledJoint(joint, JointFit(joint.fixed, joint.moving, found)))
+        if not fitted[-1].fit.believable:
+            told.append(Finding(joint.name, "uncertain-joint", f"{joint.name}: {fitted[-1].fit.agreement()}"))
     joined = {frozenset((one.joint.fixed, one.joint.moving)) for one in fitted}
     left = sorted({tuple(sorted((a, b))) for a, others in meeting.items() for b in others if {a, b} not in joined})
     if left:
@@ -263,13 +263,7 @@ def _files(result: FromLabels, *, frame: Frame, title: str) -> dict[str, bytes]:
 def _joints_toml(joints: Sequence[LabelledJoint], called: Mapping[str, str]) -> str:
     lines = ['units = "mm, degrees"']
     for one in joints:
-        centre, axis = (np.round(v, 6).tolist() if v is not None else None for v in (one.fit.centre_mm, one.fit.axis))
-        lines += ["", f"[{one.joint.name}]", f"centre_mm = {centre}"]
-        if axis is None:
-            coordinates = [f"{one.joint.name}_{letter}" for letter in "xyz"]
-            lines += ['kind = "ball"', f"axes = {np.eye(3).tolist()}", f"coordinates = {json.dumps(coordinates)}"]
-        else:
-            lines.append(f"axis = {axis}")
+        lines += ["", f"[{one.joint.name}]", *one.fit.entry(one.joint.name)]
         lines.append(f"fixed = [{toml_string(called[one.joint.fixed])}]")
         lines.append(f"moving = [{', '.join(toml_string(called[name]) for name in one.joint.moves)}]")
         lines.append(f"# {one.fit.agreement()}")
@@ -277,11 +271,7 @@ def _joints_toml(joints: Sequence[LabelledJoint], called: Mapping[str, str]) -> 
 
 
 def _rig_toml(joints: Sequence[LabelledJoint], title: str, frame: Frame) -> str:
-    names = [
-        name
-        for one in joints
-        for name in ([one.joint.name] if one.fit.axis is not None else [f"{one.joint.name}_{c}" for c in "xyz"])
-    ]
+    names = [name for one in joints for name in one.fit.coordinates(one.joint.name)]
     pose = ", ".join(f"{name}_deg = {0 if number else 10}" for number, name in enumerate(names))
     return (
         f"title = {toml_string(title)}\n[anatomy]\nfolder = {toml_string(SURFACES)}\n"

@@ -231,6 +231,7 @@ def test_overlap_without_nesting_is_ambiguous() -> None:
         ({"elbow": math.nan}, "pose of 'elbow': found nan; expected a finite angle"),
         ({"wrist": 41.0}, r"pose of 'wrist': found 41 degrees, but limits_deg in f.json is \[-60, 40\]"),
         ({"wrist": -60.5}, "pose of 'wrist': found -60.5 degrees"),
+        ({"elbow": 400.0}, "pose of 'elbow': found 400 degrees, and f.json gives it no limits_deg; .*at most 360"),
     ],
 )
 def test_poses_that_cannot_be_taken_are_refused_at_once(pose: dict[str, float], message: str) -> None:

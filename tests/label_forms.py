@@ -27,6 +27,20 @@ def hip_labels() -> np.ndarray:
     return labels
 
 
+def elbow_labels(side: float) -> np.ndarray:
+    """(28, 30, 60) uint8: humerus (1) and ulna (2), whose olecranon stops the turn to one side (1 or -1 along j)."""
+    at = SPACING_MM * np.stack(np.meshgrid(*map(np.arange, (28, 30, 60)), indexing="ij"), axis=-1) - [20.0, 21.75, 46.0]
+    x, y, z = np.moveaxis(at, -1, 0)
+    away = np.hypot(y, z)
+    labels = np.zeros(x.shape, dtype=np.uint8)
+    labels[((away < 8) & (np.abs(x) < 14)) | ((np.abs(x) < 5) & (np.abs(y) < 4) & (z > 0) & (z < 38))] = 1
+    labels[(away > 10) & (away < 15) & (z < 4) & (np.abs(x) < 12)] = 2
+    labels[(np.abs(x) < 5) & (np.abs(y) < 4) & (z < -12) & (z > -42)] = 2
+    labels[(np.abs(x) < 5) & (side * y > 10) & (side * y < 14) & (z > -4) & (z < 26)] = 2
+    labels[(np.abs(x) < 5) & (side * y > 6.5) & (side * y < 14) & (z > 20) & (z < 26)] = 2
+    return labels
+
+
 def hip_masks() -> dict[str, np.ndarray]:
     """A mask for each tissue; the skin's holds all others, and the muscle's 24 voxels of the cup."""
     labels = hip_labels()

@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.label_surfaces import LabelFit, label_anatomy, label_fits
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
@@ -18,6 +20,8 @@ from musclefit.anatomy.repair.resolutions import Rule
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
 from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.solids import moved_solid, overlap_volume, solid_of
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.folder_locks import held
 from musclefit.io.formats.nifti import HeaderForm
 from musclefit.io.formats.tables import toml_string
@@ -37,6 +41,9 @@ from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
 WITHIN_MM = 5.0
+
+FIRST_DEG = 10.0
+"""How far the rig's pose turns the first joint."""
 
 LEFT_OUT = ("left-out", "too-thin")
 """Codes of findings on a mask or label that no surface was made of."""
@@ -253,11 +260,24 @@ def _files(result: FromLabels, *, frame: Frame, title: str) -> dict[str, bytes]:
     }
     if result.joints:
         files[JOINTS] = _joints_toml(result.joints, called).encode()
-        files[RIG] = _rig_toml(result.joints, title, frame).encode()
+        files[RIG] = _rig_toml(result.joints, title, frame, first_deg=_free_way(result)).encode()
     files[REPORT] = (json.dumps(result.to_json(), indent=2, allow_nan=False, ensure_ascii=False) + "\n").encode(
         "utf-8", "backslashreplace"
     )
     return files
+
+
+def _free_way(result: FromLabels) -> float:
+    """An angle of the first joint that the rig is posed by, to the side where its two bones share less volume."""
+    one = result.joints[0]
+    fixed, moving = (solid_of(result.anatomy[name].surface) for name in (one.joint.fixed, one.joint.moving))
+    axis = one.fit.axis if one.fit.axis is not None else np.array([1.0, 0.0, 0.0])
+
+    def shared(angle_deg: float) -> float:
+        turn = RigidMotion.about_axis(centre=one.fit.centre_mm, axis=axis, angle_deg=angle_deg)
+        return overlap_volume(fixed, moved_solid(moving, turn))
+
+    return min((FIRST_DEG, -FIRST_DEG), key=shared)
 
 
 def _joints_toml(joints: Sequence[LabelledJoint], called: Mapping[str, str]) -> str:
@@ -270,9 +290,9 @@ def _joints_toml(joints: Sequence[LabelledJoint], called: Mapping[str, str]) -> 
     return "\n".join(lines) + "\n"
 
 
-def _rig_toml(joints: Sequence[LabelledJoint], title: str, frame: Frame) -> str:
+def _rig_toml(joints: Sequence[LabelledJoint], title: str, frame: Frame, *, first_deg: float) -> str:
     names = [name for one in joints for name in one.fit.coordinates(one.joint.name)]
-    pose = ", ".join(f"{name}_deg = {0 if number else 10}" for number, name in enumerate(names))
+    pose = ", ".join(f"{name}_deg = {0 if number else first_deg:g}" for number, name in enumerate(names))
     return (
         f"title = {toml_string(title)}\n[anatomy]\nfolder = {toml_string(SURFACES)}\n"
         f'units = "mm"\nframe = "patient ({frame.value.upper()}), mm"\n'

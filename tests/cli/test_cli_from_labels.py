@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import label_forms as forms
@@ -13,6 +14,7 @@ import musclefit as mf
 from musclefit.cli.commands import main
 from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.solids import moved_solid, overlap_volume, solid_of
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +110,25 @@ def test_python_users_get_records(tmp_path: Path) -> None:
     frames = done.to_frames()
     assert list(frames["fits"]["name"]) == [tissue.name for tissue in done.anatomy]
     assert (frames["fits"]["volume_percent"].abs() < 1.0).all()
+
+
+@pytest.mark.parametrize("side", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_the_rig_turns_to_the_side_that_is_free(side: float, tmp_path: Path) -> None:
+    """An olecranon stops the elbow within 10 degrees to one side: the first pose goes to the other one."""
+    names = {1: "humerus_left", 2: "ulna_left"}
+    image = forms.write_nifti(tmp_path / "elbow.nii.gz", forms.elbow_labels(side), names=names)
+    assert main(["from-labels", str(image), str(tmp_path / "out"), "--quiet"]) == 0
+    job = mf.read_rig(tmp_path / "out" / "rig.toml")
+    (angle,) = tomllib.loads((tmp_path / "out" / "rig.toml").read_text())["drive"]["pose"].values()
+    assert abs(angle) == 10.0
+    solids = {tissue.name: solid_of(tissue.surface) for tissue in job.anatomy}
+    assert job.joints is not None
+    shared = [
+        overlap_volume(
+            solids["humerus_left"],
+            moved_solid(solids["ulna_left"], job.joints.motions({"elbow_left": degrees})["ulna_left"]),
+        )
+        for degrees in (angle, -angle)
+    ]
+    assert shared[0] < 1.0
+    assert shared[1] > 10.0

@@ -31,6 +31,7 @@ table = "subjects.csv"
 limb = "upper_limb"
 [set]
 deformer.method = "yu2014"
+compare.methods = []
 [run]
 pictures = false
 tets = false

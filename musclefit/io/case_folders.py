@@ -77,12 +77,11 @@ def case_folder(out: Path, name: str) -> Path:
 
 
 def case_key(case: Case, study: Study, inputs: Mapping[str, str]) -> str:
-    """What a case depends on, as a hash: version, files by content, overrides and how it is run; no other case."""
+    """What a case depends on, as a hash: version, files by content, overrides, how it is run; not what is but told."""
     told = {
         "version": __version__,
         "inputs": dict(inputs),
         "overrides": case.overrides,
-        "facts": dict(case.facts),
         "run": [study.pictures, study.tets, study.frames],
     }
     return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()

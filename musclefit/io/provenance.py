@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 from collections.abc import Mapping
@@ -32,6 +33,12 @@ def peak_memory_mb() -> float:
 
     peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return float(peak) * (1e-6 if sys.platform == "darwin" else 1.024e-3)
+
+
+def cpu_seconds() -> float:
+    """CPU seconds of this process and of the processes that it ran and waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def measured(seconds: Mapping[str, float], *, provenance: Mapping[str, Any]) -> dict[str, Any]:

@@ -273,14 +273,14 @@ def _tissues(told: Sequence[Mapping[str, Any]], apart_mm: Mapping[str, Values]) 
 def _pairs(told: Sequence[Mapping[str, Any]]) -> tuple[PairRow, ...]:
     found = [{tuple(sorted((pair["a"], pair["b"]))): pair for pair in one["overlaps"]} for one in told]
     there = [{tissue["name"] for tissue in one["tissues"]} for one in told]
-    unchecked = [" ".join(str(left["what"]) for left in one["not_checked"]) for one in told]
+    unchecked = [{name for left in one["not_checked"] for name in str(left["what"]).split(" / ")} for one in told]
     rows = []
     for a, b in sorted({pair for pairs in found for pair in pairs}):
 
         def values(key: str, a: str = a, b: str = b) -> Values:
             """Zero for a pair that a run tested and does not list."""
             return tuple(
-                pairs[a, b][key] if (a, b) in pairs else None if not {a, b} <= names or a in left or b in left else 0.0
+                pairs[a, b][key] if (a, b) in pairs else 0.0 if {a, b} <= names - left else None
                 for pairs, names, left in zip(found, there, unchecked, strict=True)
             )
 

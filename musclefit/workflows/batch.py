@@ -163,7 +163,7 @@ def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Fo
     files have bytes. A rig and motion whose first case cannot be read is left out.
     """
     model = CostModel.shipped()
-    total, peak, measured = 0.0, 0.0, 0
+    total, peak, measured, left_out = 0.0, 0.0, 0, dict[str, None]()
     groups: dict[tuple[str, str], list[Case]] = {}
     for number in left:
         case = study.cases[number]
@@ -178,12 +178,15 @@ def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Fo
         per_byte = size.vertices / max(first_bytes, 1)
         own = [replace(size, vertices=per_byte * _bytes(case) or size.vertices) for case in cases]
         scale = float(np.median(ratios)) if ratios else 1.0
+        left_out |= dict.fromkeys([] if ratios else model.unknown(size))
         measured += len(ratios)
         total += scale * sum(map(model.case_cpu_s, own))
         peak = max(peak, *map(model.case_peak_mb, own))
     free, wanted = available_mb(), max(1, min(workers, len(left)))
     fitting = workers_that_fit(wanted, peak_mb=peak, available_mb=free)
-    return Forecast(len(left), measured, total, fitting, peak, free, limited=fitting < wanted)
+    total += fitting * model.start_cpu_s if total else 0.0
+    limited = fitting < wanted
+    return Forecast(len(left), measured, total, fitting, peak, free, limited=limited, left_out=tuple(left_out))
 
 
 def _sizes(study: Study, cases: list[Case]) -> tuple[Sizes, int] | None:
@@ -195,7 +198,7 @@ def _sizes(study: Study, cases: list[Case]) -> tuple[Sizes, int] | None:
             frames = 1
             if case.motion_file is not None:
                 frames = len(planned(job, motion=case.motion_file, frames=study.frames).poses)
-            return Sizes(**sizes_of(job, frames=frames)), _bytes(case)
+            return Sizes(**sizes_of(job, frames=frames, pictures=study.pictures)), _bytes(case)
         except MusclefitError:
             continue
     return None

@@ -31,7 +31,7 @@ from musclefit.io.case_folders import (
     write_case,
 )
 from musclefit.io.folder_locks import held
-from musclefit.io.provenance import peak_memory_mb
+from musclefit.io.provenance import cpu_seconds, peak_memory_mb
 from musclefit.io.studies import Case, FileHashes, Study, inputs_of
 from musclefit.progress import Silent
 from musclefit.report.model import Report, Side
@@ -86,7 +86,7 @@ def _held_once_free(folder: Path) -> Iterator[None]:
 
 
 def _made_unless_done(study: Study, case: Case, out: Path, hashes: FileHashes) -> CaseOutcome:
-    start, cpu = time.perf_counter(), time.process_time()
+    start, cpu = time.perf_counter(), cpu_seconds()
     folder = case_folder(out, case.name)
     inputs: Mapping[str, str] = {}
     sizes: dict[str, Any] = {}
@@ -110,7 +110,7 @@ def _made_unless_done(study: Study, case: Case, out: Path, hashes: FileHashes) -
     seen = set(inputs.values())
     outcome = replace(outcome, key=key if set(outcome.inputs.values()) <= seen else "", inputs=dict(inputs))
     cost = CaseCost(
-        cpu_s=round(time.process_time() - cpu, 3),
+        cpu_s=round(cpu_seconds() - cpu, 3),
         wall_s=round(time.perf_counter() - start, 3),
         process_peak_mb=round(peak_memory_mb(), 1),
         sizes=sizes,
@@ -165,7 +165,7 @@ def _made(study: Study, case: Case, result: Path, sizes: dict[str, Any]) -> Case
             pictures=study.pictures,
             progress=Silent(),
         )
-        sizes |= sizes_of(followed.plan.job, frames=len(followed.report.frames))
+        sizes |= sizes_of(followed.plan.job, frames=len(followed.report.frames), pictures=study.pictures)
         values: dict[str, float | str | None] = {
             "frames": len(followed.report.frames),
             "frames made": len(followed.report.made),
@@ -174,11 +174,11 @@ def _made(study: Study, case: Case, result: Path, sizes: dict[str, Any]) -> Case
     from musclefit.workflows.run import run
 
     done = run(case.rig_file, out=result, overrides=overrides, pictures=study.pictures, progress=Silent())
-    sizes |= sizes_of(done.job, frames=1)
+    sizes |= sizes_of(done.job, frames=1, pictures=study.pictures)
     return _outcome(case, done.report.checks, _values(done.report), done.report.provenance)
 
 
-def sizes_of(job: Job, *, frames: int) -> dict[str, Any]:
+def sizes_of(job: Job, *, frames: int, pictures: bool) -> dict[str, Any]:
     """What time and memory of a case depend on."""
     return {
         "vertices": sum(len(tissue.surface.vertices) for tissue in job.anatomy),
@@ -187,6 +187,7 @@ def sizes_of(job: Job, *, frames: int) -> dict[str, Any]:
         "frames": frames,
         "rigid": job.rig.bones.rigid,
         "tets": job.rig.tets.enabled,
+        "pictures": pictures,
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -95,10 +95,7 @@ def collect(folder: str | Path, *, parquet: bool = False) -> Cohort:
     if parquet:
         require_pyarrow()
     title, told = _read_study_json(out)
-    outcomes = tuple(
-        read_case(out, case["name"]) or CaseOutcome(**case, status=MISSING, reason="it was not run, or not to its end")
-        for case in told
-    )
+    outcomes = tuple(_outcome(out, case) for case in told)
     rows = cohort_rows(outcomes)
     write_atomically(out / OUTCOMES_CSV, csv_text(rows))
     checks = [{"case": o.name, **check} for o in outcomes for check in o.checks]
@@ -177,8 +174,18 @@ def require_pyarrow() -> Any:
     return pyarrow
 
 
+def _outcome(out: Path, case: Mapping[str, Any]) -> CaseOutcome:
+    """What came of a case, with the facts that the study tells of its subject now."""
+    found = read_case(out, case["name"])
+    if found is None:
+        return CaseOutcome(**case, status=MISSING, reason="it was not run, or not to its end")
+    return replace(found, facts=case["facts"])
+
+
 def _sizes(sizes: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: sizes.get(name) for name in ("vertices", "tissues", "landmarks", "frames", "rigid", "tets")}
+    return {
+        name: sizes.get(name) for name in ("vertices", "tissues", "landmarks", "frames", "rigid", "tets", "pictures")
+    }
 
 
 def _read_study_json(out: Path) -> tuple[str, list[dict[str, Any]]]:

@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
 
 from musclefit.errors import InputError
+from musclefit.geometry.arrays import Float
 
 MODEL_FILE = Path(__file__).with_name("cost_model.json")
 """Coefficients that came of `examples/cost_model.py`."""
 
-STEP_TERMS = ("1", "vertices", "vertices x landmarks", "landmarks²", "tissues²")
-"""What the CPU seconds of a frame are a sum of, with coefficients that are not negative."""
+TERMS = ("1", "vertices", "vertices x landmarks", "landmarks²", "tissues²")
+"""What the CPU seconds of a part are a sum of, with coefficients that are not negative."""
+
+EXTRAS = ("pictures", "pictures of a motion", "tetrahedra")
+"""Parts that come on top of what a run takes without them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +34,8 @@ class Sizes:
         Of the anatomy, and of what drives it.
     frames : float
         1 for a single run.
-    rigid, tets : bool
-        Whether bones are held rigid, and tetrahedra made.
+    rigid, tets, pictures : bool
+        Whether bones are held rigid, tetrahedra made, and pictures drawn.
     """
 
     vertices: float
@@ -40,16 +44,20 @@ class Sizes:
     frames: float = 1
     rigid: bool = False
     tets: bool = False
+    pictures: bool = False
 
     @property
-    def kind(self) -> str:
-        """What is not told apart by numbers: each kind has coefficients of its own."""
-        return ("rigid bones" if self.rigid else "free bones") + (", tetrahedra" if self.tets else "")
+    def parts(self) -> tuple[str, ...]:
+        """What a case is made of, each with coefficients of its own: the run itself, and what comes on top."""
+        moving = self.frames > 1
+        own = ("rigid bones" if self.rigid else "free bones") + (", motion" if moving else "")
+        drawn = ("pictures of a motion" if moving else "pictures",) if self.pictures else ()
+        return own, *drawn, *(("tetrahedra",) if self.tets and not moving else ())
 
     def terms(self) -> tuple[float, ...]:
-        """The terms of a frame's CPU seconds, as in ``STEP_TERMS``: thousands of vertices, hundreds of landmarks."""
+        """The terms of a part, as in ``TERMS``, times frames: thousands of vertices, hundreds of landmarks."""
         v, m, t = self.vertices / 1e3, self.landmarks / 1e2, self.tissues / 10.0
-        return 1.0, v, v * m, m * m, t * t
+        return tuple(self.frames * term for term in (1.0, v, v * m, m * m, t * t))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +71,30 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class CostModel:
-    """Coefficients by kind: of a frame's CPU seconds, and of the peak memory of a process.
+    """Coefficients by part: of CPU seconds, and of the peak memory of a process.
 
     Parameters
     ----------
-    cpu_s : mapping of kind to five numbers
-        Per term of ``STEP_TERMS``.
-    peak_mb : mapping of kind to two numbers
+    cpu_s : mapping of part to five numbers
+        Per term of ``TERMS``.
+    peak_mb : mapping of part to two numbers
         The memory of the process itself, and that per thousand vertices, MB.
-    error_percent : mapping of kind to number
-        The largest error of the CPU seconds on the cases that the coefficients were fitted to.
+    error_percent : mapping of part to number
+        The largest error of the CPU seconds of whole cases that the coefficients were fitted to.
+    start_cpu_s : float
+        What a process takes once, to import and to load what is compiled.
     """
 
     cpu_s: Mapping[str, tuple[float, ...]]
     peak_mb: Mapping[str, tuple[float, ...]]
     error_percent: Mapping[str, float]
+    start_cpu_s: float = 0.0
 
     @classmethod
-    def fitted(cls, cases: Sequence[Measured]) -> CostModel:
+    def fitted(cls, cases: Sequence[Measured], *, start_cpu_s: float = 0.0) -> CostModel:
         """The model nearest to measured cases, by least squares of relative errors with no coefficient below zero.
+
+        Cases without pictures and tetrahedra give the parts of runs; what the others take beyond these gives the rest.
 
         Raises
         ------
@@ -90,43 +103,60 @@ class CostModel:
         """
         if not cases or min(case.cpu_s for case in cases) <= 0:
             raise InputError("a cost model needs measured cases, each with CPU seconds above 0; measure some")
-        cpu, peak, error = {}, {}, {}
-        for kind in dict.fromkeys(case.sizes.kind for case in cases):
-            own = [case for case in cases if case.sizes.kind == kind]
+        cpu: dict[str, tuple[float, ...]] = {}
+        peak: dict[str, tuple[float, ...]] = {}
+        error: dict[str, float] = {}
+        for part in sorted({case.sizes.parts[-1] for case in cases}, key=lambda part: (part in EXTRAS, part)):
+            own = [case for case in cases if case.sizes.parts[-1] == part]
             told = np.array([case.cpu_s for case in own])
-            terms = np.array([case.sizes.terms() for case in own]) * np.array([[case.sizes.frames] for case in own])
-            cpu[kind] = tuple(float(x) for x in nnls(terms / told[:, None], np.ones(len(own)))[0])
-            error[kind] = float(100.0 * np.abs(terms @ np.array(cpu[kind]) / told - 1.0).max())
+            below = np.array([_sum(cpu, case.sizes, case.sizes.parts[:-1]) for case in own])
+            terms = np.array([case.sizes.terms() for case in own])
+            terms[:, 2:] *= part not in EXTRAS  # what comes on top knows no landmarks
+            cpu[part] = _least(terms / told[:, None], np.maximum(told - below, 0.0) / told)
+            error[part] = float(100.0 * np.abs((terms @ np.array(cpu[part]) + below) / told - 1.0).max())
             known = [case for case in own if case.peak_mb]
             if known:
-                told = np.array([case.peak_mb for case in known], dtype=float)
+                most = np.array([case.peak_mb for case in known], dtype=float)
                 terms = np.array([[1.0, case.sizes.vertices / 1e3] for case in known])
-                peak[kind] = tuple(float(x) for x in nnls(terms / told[:, None], np.ones(len(known)))[0])
-        return cls(cpu, peak, error)
+                peak[part] = _least(terms / most[:, None], np.ones(len(known)))
+        return cls(cpu, peak, error, start_cpu_s)
 
     @classmethod
     def shipped(cls) -> CostModel:
         """The coefficients that come along."""
         read = json.loads(MODEL_FILE.read_text(encoding="utf-8"))
-        return cls(**{name: read[name] for name in ("cpu_s", "peak_mb", "error_percent")})
+        return cls(**{name: read[name] for name in ("cpu_s", "peak_mb", "error_percent", "start_cpu_s")})
 
     def case_cpu_s(self, sizes: Sizes) -> float:
-        """CPU seconds of a case; those of the nearest kind that was measured where its own was not."""
-        own = self.cpu_s.get(sizes.kind) or next(iter(self.cpu_s.values()))
-        return float(np.dot(own, sizes.terms())) * sizes.frames
+        """CPU seconds of a case; parts that were not measured are left out."""
+        return _sum(self.cpu_s, sizes, sizes.parts)
+
+    def unknown(self, sizes: Sizes) -> tuple[str, ...]:
+        """The parts of a case that the model knows nothing of."""
+        return tuple(part for part in sizes.parts if part not in self.cpu_s)
 
     def case_peak_mb(self, sizes: Sizes) -> float:
         """Peak memory of a process that runs the case, MB."""
-        own = self.peak_mb.get(sizes.kind) or max(self.peak_mb.values())
-        return float(own[0] + own[1] * sizes.vertices / 1e3)
+        known = [self.peak_mb[part] for part in sizes.parts if part in self.peak_mb] or list(self.peak_mb.values())
+        return max(float(own[0] + own[1] * sizes.vertices / 1e3) for own in known)
 
     def text(self) -> str:
         """The coefficients as a file holds them."""
         merged: dict[str, dict[str, object]] = {"cpu_s": {}, "peak_mb": {}, "error_percent": {}}
-        for name, table in asdict(self).items():
-            for kind, value in table.items():
-                merged[name][kind] = [float(f"{x:.3g}") for x in value] if name != "error_percent" else round(value, 1)
-        return json.dumps({"terms": STEP_TERMS, **merged}, indent=1, ensure_ascii=False) + "\n"
+        for name, table in merged.items():
+            for part, value in getattr(self, name).items():
+                table[part] = [float(f"{x:.3g}") for x in value] if name != "error_percent" else round(value, 1)
+        told = {"terms": TERMS, "start_cpu_s": round(self.start_cpu_s, 2), **merged}
+        return json.dumps(told, indent=1, ensure_ascii=False) + "\n"
+
+
+def _sum(cpu_s: Mapping[str, Sequence[float]], sizes: Sizes, parts: Sequence[str]) -> float:
+    terms = sizes.terms()
+    return float(sum(np.dot(cpu_s[part], terms) for part in parts if part in cpu_s))
+
+
+def _least(terms: Float, told: Float) -> tuple[float, ...]:
+    return tuple(float(x) for x in nnls(terms, told)[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +176,8 @@ class Forecast:
         None where the system does not tell.
     limited : bool
         Whether memory allows fewer workers than were asked for.
+    left_out : tuple of str
+        Parts of cases that the model knows nothing of, such as tetrahedra of a motion.
     """
 
     cases: int
@@ -155,6 +187,7 @@ class Forecast:
     peak_mb: float
     available_mb: float | None
     limited: bool
+    left_out: tuple[str, ...] = ()
 
     @property
     def wall_s(self) -> float:
@@ -176,6 +209,8 @@ class Forecast:
         )
         if self.available_mb is not None:
             said += f" of {self.available_mb:.0f} MB available"
+        if self.left_out:
+            said += f"; without {', '.join(self.left_out)}, which the model does not know"
         if self.limited:
             said += "; memory allows no more workers"
         if self.available_mb is not None and self.peak_mb > self.available_mb:

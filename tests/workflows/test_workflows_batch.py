@@ -44,6 +44,11 @@ def test_a_study_is_run_resumed_and_redone_where_it_changed(tmp_path: Path) -> N
     assert made_at(out) == before
     assert contents_but_for_times(out) == whole
 
+    table = tmp_path / "subjects.csv"
+    table.write_text(table.read_text(encoding="utf-8").replace(",20", ",61"), encoding="utf-8")
+    assert batch(study, out=out, progress=Silent()).outcomes[0].facts["age"] == "61"
+    assert made_at(out) == before, "what is told of a subject, and sets nothing, makes no case again"
+
     write_subjects(tmp_path, [5, 12, 30, 20])
     again = batch(study, out=out, progress=Silent())
     assert again.passed

@@ -154,6 +154,10 @@ def test_other_bodies_and_pairs_that_one_run_lacks_are_told(runs: tuple[Path, Pa
     (row,) = found.pairs
     assert row.introduced_mm3 == (0.0, 5.0)
     assert row.best == (0,)
+    one["not_checked"] = [{"what": "bone_distal / muscle_flexor", "reason": "no solids"}]
+    assert differences({"x": one, "y": other}, apart_mm={}).pairs[0].introduced_mm3 == (None, 5.0)
+    one["not_checked"] = [{"what": "muscle_flexor_longus / bone", "reason": "another tissue, whose name begins so"}]
+    assert differences({"x": one, "y": other}, apart_mm={}).pairs[0].introduced_mm3 == (0.0, 5.0)
     one["tissues"] = [tissue for tissue in one["tissues"] if tissue["name"] != "muscle_flexor"]
     found = differences({"x": one, "y": other}, apart_mm={})
     assert found.pairs[0].introduced_mm3 == (None, 5.0)

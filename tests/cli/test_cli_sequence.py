@@ -14,7 +14,7 @@ from tiny_rigs import drive_by, drive_by_joints, write_tiny_rig
 
 from musclefit.cli import main
 from musclefit.figures.rendering import rendering_problem
-from musclefit.report.json_schema import joint_range_schema
+from musclefit.report.schema import joint_range_schema
 
 JOINTS_PATH = ("--set", "deformer.path=joints")
 

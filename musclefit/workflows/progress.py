@@ -18,8 +18,37 @@ from musclefit.progress import Progress, Tick
 LOG = logging.getLogger("musclefit")
 """Told of every stage where nothing shows bars."""
 
+Shares = tuple[tuple[str, float], ...]
+"""Stages in the order in which they come, and what part of the time each usually takes; some may not come at all."""
+
+ALL = "in all"
+
 TOLD_FROM_S, TOLD_EVERY_S = 1.0, 30.0
 """Off a terminal a stage is told when it has taken so long, and how far it is every so often."""
+
+
+class Whole:
+    """How much of the whole is done; never less than before.
+
+    Parameters
+    ----------
+    shares : Shares
+        A stage that does not come counts as done when a later one begins; one that is no part of them counts nothing.
+    """
+
+    def __init__(self, shares: Shares) -> None:
+        total, before = sum(share for _, share in shares), 0.0
+        self.done = 0.0
+        self._parts: dict[str, tuple[float, float]] = {}
+        for name, share in shares:
+            self._parts[name] = before / total, share / total
+            before += share
+
+    def tick(self, name: str, fraction: float) -> float:
+        """The part of the whole that is done when so much of a stage is."""
+        before, share = self._parts.get(name, (0.0, 0.0))
+        self.done = max(self.done, before + share * fraction)
+        return self.done
 
 
 class TimedStages:
@@ -32,10 +61,13 @@ class TimedStages:
         logger "musclefit".
     beside : Progress or None
         Told of the same stages.
+    shares : Shares
+        Of a whole that has a bar of its own.
     """
 
-    def __init__(self, *, shown: bool, beside: Progress | None = None) -> None:
+    def __init__(self, *, shown: bool, beside: Progress | None = None, shares: Shares = ()) -> None:
         self.seconds: dict[str, float] = {}
+        self._whole = Whole(shares) if shares else None
         self._shown, self._beside = shown, beside
         self._console = Console(file=None if in_notebook() else sys.stderr)
         self._bars = Bars(
@@ -51,6 +83,7 @@ class TimedStages:
             transient=True,
             disable=not shown or not (sys.stderr.isatty() or in_notebook()),
         )
+        self._all = self._bars.add_task(ALL, total=1.0) if self._whole is not None else None
 
     def __enter__(self) -> TimedStages:
         self._bars.start()
@@ -81,12 +114,13 @@ class TimedStages:
             def tick(fraction: float) -> None:
                 nonlocal last
                 self._bars.update(task, completed=fraction)
+                self._count(name, fraction)
                 if other is not None:
                     other(fraction)
                 now = time.perf_counter()
                 if self._told and now - last > TOLD_EVERY_S:
                     last = now
-                    LOG.info("%s: %.0f %% after %.0f s", name, 100.0 * fraction, now - start)
+                    LOG.info("%s: %.0f %% after %.0f s%s", name, 100.0 * fraction, now - start, self._so_far)
 
             try:
                 yield tick
@@ -95,8 +129,17 @@ class TimedStages:
                 self.seconds[name] = self.seconds.get(name, 0.0) + took
                 self._bars.update(task, completed=1.0)
                 self._bars.stop_task(task)
+                self._count(name, 1.0)
                 if self._told and took >= TOLD_FROM_S:
-                    LOG.info("%s: %.1f s", name, took)
+                    LOG.info("%s: %.1f s%s", name, took, self._so_far)
+
+    def _count(self, name: str, fraction: float) -> None:
+        if self._whole is not None and self._all is not None:
+            self._bars.update(self._all, completed=self._whole.tick(name, fraction))
+
+    @property
+    def _so_far(self) -> str:
+        return "" if self._whole is None else f" (about {100.0 * self._whole.done:.0f} % in all)"
 
     @property
     def _told(self) -> bool:
@@ -110,10 +153,10 @@ def in_notebook() -> bool:
 
 
 @contextmanager
-def watched(progress: Progress | None) -> Iterator[TimedStages]:
-    """Timed stages: those given, or new ones that are shown, or that tell a given progress."""
+def watched(progress: Progress | None, *, shares: Shares = ()) -> Iterator[TimedStages]:
+    """Timed stages: those given, or new ones that are shown, or that tell a given progress; with the shares of each."""
     if isinstance(progress, TimedStages):
         yield progress
         return
-    with TimedStages(shown=progress is None, beside=progress) as stages:
+    with TimedStages(shown=progress is None, beside=progress, shares=shares) as stages:
         yield stages

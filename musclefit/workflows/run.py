@@ -22,9 +22,10 @@ from musclefit.io.provenance import measured
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import DeformedTets, Maker, claimed, write_run
 from musclefit.meshing.cache import CACHE_FINDING, TetCache, TetPlan, default_limit_mb
+from musclefit.pipeline.comparisons import LOOP_MARCH
 from musclefit.pipeline.intermediate_states import states
 from musclefit.pipeline.retarget import Outcome, Retargeting, retarget
-from musclefit.progress import Progress, Silent
+from musclefit.progress import CERTIFY, MARCH, Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import AttachedPoints, Job
 from musclefit.rig.settings import TetSettings
@@ -32,6 +33,21 @@ from musclefit.workflows.beside import Beside
 from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
+
+SHARES = (
+    ("test the bones' way", 1.0),
+    ("joint ranges", 2.0),
+    (MARCH, 40.0),
+    ("refine surfaces", 4.0),
+    (CERTIFY, 25.0),
+    ("check result", 18.0),
+    ("check baseline", 1.0),
+    (LOOP_MARCH, 1.0),
+    ("check the paper's loop", 1.0),
+    ("pictures", 6.0),
+    ("3-D view", 1.0),
+)
+"""What part of the time each stage of a run with rigid bones takes, about."""
 
 TOLD_BEFORE = (
     "cage-crossing",
@@ -163,7 +179,7 @@ def run(
     """
     with claimed(None if out is None else Path(out), by=Maker.RUN):
         overrides = (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
-        with watched(progress) as stages:
+        with watched(progress, shares=SHARES) as stages:
             job = read_rig(rig_given(rig), overrides=overrides, points=[Path(path) for path in points], progress=stages)
             for finding in job.findings:
                 if finding.code in TOLD_BEFORE:

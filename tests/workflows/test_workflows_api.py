@@ -12,7 +12,7 @@ from tiny_rigs import write_tiny_rig
 
 import musclefit as mf
 from musclefit.workflows import progress as watching
-from musclefit.workflows.progress import TimedStages, watched
+from musclefit.workflows.progress import TimedStages, Whole, watched
 
 COMMANDS = (
     "architecture",
@@ -136,6 +136,28 @@ def test_off_a_terminal_long_stages_are_lines_of_the_log(
             pass
     assert [record.message for record in caplog.records] == ["march: 50 % after 40 s", "march: 75.0 s"]
     assert stages.seconds == {"march": 75.0, "quick": 0.1}
+
+
+def test_the_whole_never_goes_back_and_counts_stages_that_do_not_come() -> None:
+    whole = Whole((("read", 1.0), ("march", 6.0), ("prove", 2.0), ("draw", 1.0)))
+    ticks = ("march", 0.0), ("march", 0.5), ("prove", 1.0), ("march", 0.1), ("tets", 1.0), ("draw", 1.0)
+    told = [whole.tick(name, share) for name, share in ticks]
+    assert told == pytest.approx([0.1, 0.4, 0.9, 0.9, 0.9, 1.0])
+
+
+def test_lines_of_stages_say_how_much_of_the_whole_is_done(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = iter([0.0, 9.0])
+    monkeypatch.setattr("musclefit.workflows.progress.time.perf_counter", lambda: next(clock))
+    shares = (("march", 3.0), ("prove", 1.0))
+    with (
+        caplog.at_level(logging.INFO, logger="musclefit"),
+        watched(None, shares=shares) as stages,
+        stages.stage("march"),
+    ):
+        pass
+    assert [record.message for record in caplog.records] == ["march: 9.0 s (about 75 % in all)"]
 
 
 def test_a_given_progress_is_told_and_bars_are_not_shown() -> None:

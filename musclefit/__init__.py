@@ -1,9 +1,9 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
-One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `repair`, `cage`,
-`fit_body`, `fit_joint`, `from_labels`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`, `warp_deck`,
-`export`, `export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They and what they give back are
-stable, as are the other names of this module; what is in the rooms below may change with any version.
+One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `check_mesh`, `repair`,
+`cage`, `fit_body`, `fit_joint`, `from_labels`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`,
+`warp_deck`, `export`, `export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They and what they give
+back are stable, as are the other names of this module; what is in the rooms below may change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.batch import batch
     from musclefit.workflows.cage import cage
     from musclefit.workflows.check import check
+    from musclefit.workflows.check_mesh import check_mesh
     from musclefit.workflows.collect import collect
     from musclefit.workflows.compare import compare
     from musclefit.workflows.export import export
@@ -84,6 +85,7 @@ _HOMES = {
     "batch": "workflows.batch",
     "cage": "workflows.cage",
     "check": "workflows.check",
+    "check_mesh": "workflows.check_mesh",
     "collect": "workflows.collect",
     "compare": "workflows.compare",
     "export": "workflows.export",
@@ -147,6 +149,7 @@ __all__ = [
     "batch",
     "cage",
     "check",
+    "check_mesh",
     "collect",
     "compare",
     "export",

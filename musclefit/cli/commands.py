@@ -22,6 +22,7 @@ from musclefit.anatomy.model import TissueKind
 from musclefit.cli.architecture import architecture
 from musclefit.cli.batch import batch
 from musclefit.cli.cage import cage
+from musclefit.cli.check_mesh import check_mesh
 from musclefit.cli.collect import collect
 from musclefit.cli.compare import compare
 from musclefit.cli.export import export
@@ -241,6 +242,7 @@ app.command(import_osim, name="import-osim", sort_key=5)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(from_labels, name="from-labels", sort_key=5)
 app.command(export, sort_key=5)
+app.command(check_mesh, name="check-mesh", sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)
 app.command(joint_range, name="joint-range", sort_key=7)

@@ -20,6 +20,7 @@ COMMANDS = (
     "run",
     "sequence",
     "check",
+    "check_mesh",
     "repair",
     "cage",
     "fit_body",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -16,13 +16,19 @@ PASSED = 0
 def export(
     run: Annotated[Path, Parameter(help="The folder that a run wrote.")],
     out: Annotated[
-        Path, Parameter(help="The file to write: .feb (FEBio 4.0), .inp (Abaqus), .msh (Gmsh 4.1) or .vtu; replaced.")
+        Path, Parameter(help="The file to write: .feb (FEBio 4.0), .inp (Abaqus), .msh (Gmsh) or .vtu; replaced.")
     ],
     /,
     *,
     shape: Annotated[
         Shape, Parameter(name="--shape", help="Positions after the deformation or before it.", show_default=True)
     ] = Shape.DEFORMED,
+    quadratic: Annotated[
+        bool, Parameter(name="--quadratic", negative="", help="Nodes in the middles of edges too: tet10.")
+    ] = False,
+    msh: Annotated[
+        Literal["4.1", "2.2"], Parameter(name="--msh", help="Version of a .msh file.", show_default=True)
+    ] = "4.1",
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
@@ -30,7 +36,7 @@ def export(
     from musclefit.io.formats.solvers import PLACEHOLDER
     from musclefit.workflows.export import export as write
 
-    tets = write(run, out, shape=shape)
+    tets = write(run, out, shape=shape, quadratic=quadratic, msh=msh)
     sets = tets.sets
     if json:
         told = {"file": str(out), "nodes": len(tets.vertices), "tetrahedra": len(tets.tets)}

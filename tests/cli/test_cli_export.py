@@ -39,6 +39,12 @@ def test_a_run_is_exported_at_the_shape_asked_for(
     assert "placeholders" in told
 
 
+def test_quadratic_tetrahedra_and_old_gmsh_files_on_demand(run_folder: Path, tmp_path: Path) -> None:
+    assert main(["export", str(run_folder), str(tmp_path / "out.msh"), "--quadratic", "--msh", "2.2", "--quiet"]) == 0
+    assert (tmp_path / "out.msh").read_text(encoding="ascii").startswith("$MeshFormat\n2.2 0 8\n")
+    assert sum(len(block) for block in meshio.read(tmp_path / "out.msh").cells if block.type == "tetra10") == 48
+
+
 @pytest.mark.parametrize(
     ("missing", "out", "said"),
     [

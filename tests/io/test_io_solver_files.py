@@ -6,13 +6,24 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import gmsh
 import meshio
 import numpy as np
 import pytest
 from tet_blocks import two_tissues
 
 from musclefit.errors import InputError
-from musclefit.io.formats.solvers import FORMATS, PLACEHOLDER, UNITS, LabelledTets, solver_labels, write_solver_file
+from musclefit.io.formats.solvers import (
+    FORMATS,
+    MIDDLES,
+    PLACEHOLDER,
+    UNITS,
+    LabelledTets,
+    MshVersion,
+    solver_labels,
+    with_middle_nodes,
+    write_solver_file,
+)
 
 NAMES = ("muscle: biceps / brachii", "empty tissue", "bone")
 
@@ -160,3 +171,61 @@ def test_an_interrupted_write_keeps_the_former_file(
         write_solver_file(path, tets)
     assert path.read_text(encoding="utf-8") == "former"
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_gmsh_2_is_read_back_with_its_groups(tets: LabelledTets, tmp_path: Path) -> None:
+    write_solver_file(tmp_path / "out.msh", tets, msh=MshVersion.V2)
+    assert (tmp_path / "out.msh").read_text(encoding="ascii").startswith("$MeshFormat\n2.2 0 8\n")
+    found = meshio.read(tmp_path / "out.msh")
+    np.testing.assert_array_equal(found.points, tets.vertices)
+    groups = np.concatenate(found.cell_data["gmsh:physical"])
+    cells = np.concatenate([block.data for block in found.cells])
+    assert {name: int(v[0]) for name, v in found.field_data.items()} == {n: k for k, n in enumerate(tets.sets, start=1)}
+    for number, own in enumerate(tets.sets.values(), start=1):
+        np.testing.assert_array_equal(cells[groups == number], tets.tets[own])
+
+
+@pytest.mark.parametrize("name", ["out.inp", "out.vtu", "out.msh", "old.msh"])
+def test_quadratic_tetrahedra_have_their_nodes_in_the_middles(name: str, tets: LabelledTets, tmp_path: Path) -> None:
+    """Read by meshio, which knows each format's order of nodes: every middle node is where its edge's middle is."""
+    made = with_middle_nodes(tets)
+    assert len(made.vertices) == len(tets.vertices) + len(np.unique(_edges(tets), axis=0))
+    write_solver_file(tmp_path / name, made, msh=MshVersion.V2 if name == "old.msh" else MshVersion.V4)
+    found = meshio.read(tmp_path / name)
+    blocks = [block for block in found.cells if block.type == "tetra10"]
+    assert sum(map(len, blocks)) == len(tets.tets)
+    for block in blocks:
+        for node, (a, b) in enumerate(MIDDLES, start=4):
+            middle = 0.5 * (found.points[block.data[:, a]] + found.points[block.data[:, b]])
+            np.testing.assert_allclose(found.points[block.data[:, node]], middle, rtol=0.0, atol=1e-9)
+
+
+def test_febio_calls_quadratic_tetrahedra_tet10(tets: LabelledTets, tmp_path: Path) -> None:
+    write_solver_file(tmp_path / "out.feb", with_middle_nodes(tets))
+    root = ET.parse(tmp_path / "out.feb").getroot()
+    assert {e.attrib["type"] for e in root.iterfind("Mesh/Elements")} == {"tet10"}
+    assert {len((e.text or "").split(",")) for e in root.iterfind("Mesh/Elements/elem")} == {10}
+
+
+def _edges(tets: LabelledTets) -> np.ndarray:
+    return np.sort(np.concatenate([tets.tets[:, edge] for edge in MIDDLES]), axis=1)
+
+
+@pytest.mark.parametrize("msh", MshVersion)
+@pytest.mark.parametrize("quadratic", [False, True])
+def test_gmsh_itself_opens_both_versions(quadratic: bool, msh: MshVersion, tets: LabelledTets, tmp_path: Path) -> None:
+    write_solver_file(tmp_path / "out.msh", with_middle_nodes(tets) if quadratic else tets, msh=msh)
+    gmsh.initialize(["gmsh", "-v", "0"], interruptible=False)
+    try:
+        gmsh.open(str(tmp_path / "out.msh"))
+        groups = gmsh.model.getPhysicalGroups(3)
+        assert [gmsh.model.getPhysicalName(*group) for group in groups] == list(tets.sets)
+        kinds, numbers, _ = gmsh.model.mesh.getElements(3)
+        assert set(kinds.tolist()) == {11 if quadratic else 4}
+        volumes = gmsh.model.mesh.getElementQualities(np.concatenate(numbers), "volume")
+    finally:
+        gmsh.finalize()
+    corners = tets.vertices[tets.tets]
+    np.testing.assert_allclose(
+        np.sort(volumes), np.sort(np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0), rtol=1e-6
+    )

@@ -1,6 +1,7 @@
 """Tetrahedra as solvers read them: FEBio, Abaqus, Gmsh, VTU.
 
-One element set per tissue, shared nodes, no boundary conditions.
+One element set per tissue, shared nodes, no boundary conditions. Tetrahedra are linear, or have a node in the middle of
+each edge too (`with_middle_nodes`).
 
 Lengths are mm, so that consistent units are N, MPa and tonnes. Materials are placeholders, which every header says.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 from xml.sax.saxutils import escape, quoteattr
@@ -35,7 +37,7 @@ class LabelledTets:
     ----------
     title : str
     vertices : (n, 3) float64, mm
-    tets : (k, 4) int64, right-handed
+    tets : (k, 4) int64, right-handed; or (k, 10), the middles of the edges of `MIDDLES` last
     tissue_of_tet : (k,) int64, index into ``names``
     names : tuple of str
 
@@ -73,6 +75,28 @@ class LabelledTets:
         return {label: order[a:b] for label, a, b in zip(labels, bounds, bounds[1:], strict=False) if b > a}
 
 
+MIDDLES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+"""Corners of the edges whose middles are the nodes 5 to 10 of a quadratic tetrahedron, in FEBio, Abaqus and VTK."""
+
+_GMSH_ORDER = (0, 1, 2, 3, 4, 5, 6, 7, 9, 8)
+"""Gmsh has the last two the other way round."""
+
+
+def with_middle_nodes(tets: LabelledTets) -> LabelledTets:
+    """Quadratic tetrahedra of the same shape: a node in the middle of each straight edge, shared by all around it."""
+    corners = np.asarray(tets.tets)
+    edges = np.sort(np.stack([corners[:, edge] for edge in MIDDLES], axis=1), axis=2)
+    met, number = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
+    middles = 0.5 * (tets.vertices[met[:, 0]] + tets.vertices[met[:, 1]])
+    return LabelledTets(
+        title=tets.title,
+        vertices=np.vstack([tets.vertices, middles]),
+        tets=np.hstack([corners, len(tets.vertices) + number.reshape(-1, len(MIDDLES))]),
+        tissue_of_tet=tets.tissue_of_tet,
+        names=tets.names,
+    )
+
+
 def solver_labels(names: tuple[str, ...]) -> list[str]:
     """A label for each name that every format takes: ASCII letters, digits and ``_``, a letter first, all different.
 
@@ -92,8 +116,22 @@ def solver_labels(names: tuple[str, ...]) -> list[str]:
     return labels
 
 
-def write_solver_file(path: Path, tets: LabelledTets) -> None:
+class MshVersion(StrEnum):
+    """Of Gmsh's format: FEBio Studio and older readers know 2.2 best."""
+
+    V4 = "4.1"
+    V2 = "2.2"
+
+
+def write_solver_file(path: Path, tets: LabelledTets, *, msh: MshVersion = MshVersion.V4) -> None:
     """Write tetrahedra in the format that the ending names, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    tets : LabelledTets
+    msh : MshVersion
+        Of a .msh file.
 
     Raises
     ------
@@ -103,7 +141,9 @@ def write_solver_file(path: Path, tets: LabelledTets) -> None:
     check_solver_path(path)
     partial = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}{path.suffix}")
     try:
-        FORMATS[path.suffix.lower()](partial, tets)
+        ending = path.suffix.lower()
+        write = _write_gmsh_2 if (ending, msh) == (".msh", MshVersion.V2) else FORMATS[ending]
+        write(partial, tets)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
@@ -139,9 +179,9 @@ def _write_febio(path: Path, tets: LabelledTets) -> None:
             yield f'\t\t\t<node id="{number}">{x!r},{y!r},{z!r}</node>'
         yield "\t\t</Nodes>"
         for label, own in tets.sets.items():
-            yield f'\t\t<Elements type="tet4" name={quoteattr(label)}>'
-            for number, (a, b, c, d) in zip((own + 1).tolist(), (tets.tets[own] + 1).tolist(), strict=True):
-                yield f'\t\t\t<elem id="{number}">{a},{b},{c},{d}</elem>'
+            yield f'\t\t<Elements type="tet{tets.tets.shape[1]}" name={quoteattr(label)}>'
+            for number, nodes in zip((own + 1).tolist(), (tets.tets[own] + 1).tolist(), strict=True):
+                yield f'\t\t\t<elem id="{number}">{",".join(map(str, nodes))}</elem>'
             yield "\t\t</Elements>"
         yield "\t</Mesh>\n\t<MeshDomains>"
         for label in tets.sets:
@@ -164,9 +204,9 @@ def _write_abaqus(path: Path, tets: LabelledTets) -> None:
         for number, (x, y, z) in enumerate(tets.vertices.tolist(), start=1):
             yield f"{number}, {x!r}, {y!r}, {z!r}"
         for label, own in tets.sets.items():
-            yield f"*ELEMENT, TYPE=C3D4, ELSET={label}"
-            for number, (a, b, c, d) in zip((own + 1).tolist(), (tets.tets[own] + 1).tolist(), strict=True):
-                yield f"{number}, {a}, {b}, {c}, {d}"
+            yield f"*ELEMENT, TYPE=C3D{tets.tets.shape[1]}, ELSET={label}"
+            for number, nodes in zip((own + 1).tolist(), (tets.tets[own] + 1).tolist(), strict=True):
+                yield ", ".join(map(str, (number, *nodes)))
         for label in tets.sets:
             yield f"*SOLID SECTION, ELSET={label}, MATERIAL={label}_MATERIAL"
         for label in tets.sets:
@@ -203,19 +243,50 @@ def _write_gmsh(path: Path, tets: LabelledTets) -> None:
             yield "\n".join(f"{x!r} {y!r} {z!r}" for x, y, z in tets.vertices[own].tolist())
         yield f"$EndNodes\n$Elements\n{len(sets)} {len(tets.tets)} 1 {len(tets.tets)}"
         for number, own in enumerate(sets.values(), start=1):
-            yield f"3 {number} 4 {len(own)}"
-            for tet, (a, b, c, d) in zip((own + 1).tolist(), (tets.tets[own] + 1).tolist(), strict=True):
-                yield f"{tet} {a} {b} {c} {d}"
+            yield f"3 {number} {_gmsh_type(tets)} {len(own)}"
+            for tet, nodes in zip((own + 1).tolist(), _gmsh_nodes(tets)[own].tolist(), strict=True):
+                yield " ".join(map(str, (tet, *nodes)))
         yield "$EndElements"
 
     _write_lines(path, lines(), encoding="ascii")
+
+
+def _write_gmsh_2(path: Path, tets: LabelledTets) -> None:
+    """Gmsh's MSH 2.2, ASCII: one physical group per tissue, its number twice at each element."""
+
+    def lines() -> Iterator[str]:
+        yield "$MeshFormat\n2.2 0 8\n$EndMeshFormat"
+        yield f"$Comments\n{_comment(tets.title)}\n{UNITS}\n$EndComments"
+        yield f"$PhysicalNames\n{len(tets.sets)}"
+        for number, label in enumerate(tets.sets, start=1):
+            yield f'3 {number} "{label}"'
+        yield f"$EndPhysicalNames\n$Nodes\n{len(tets.vertices)}"
+        for number, (x, y, z) in enumerate(tets.vertices.tolist(), start=1):
+            yield f"{number} {x!r} {y!r} {z!r}"
+        yield f"$EndNodes\n$Elements\n{len(tets.tets)}"
+        for number, own in enumerate(tets.sets.values(), start=1):
+            for tet, nodes in zip((own + 1).tolist(), _gmsh_nodes(tets)[own].tolist(), strict=True):
+                yield " ".join(map(str, (tet, _gmsh_type(tets), 2, number, number, *nodes)))
+        yield "$EndElements"
+
+    _write_lines(path, lines(), encoding="ascii")
+
+
+def _gmsh_type(tets: LabelledTets) -> int:
+    return {4: 4, 10: 11}[tets.tets.shape[1]]
+
+
+def _gmsh_nodes(tets: LabelledTets) -> Int:
+    nodes: Int = tets.tets[:, list(_GMSH_ORDER[: tets.tets.shape[1]])] + 1
+    return nodes
 
 
 def _write_vtu(path: Path, tets: LabelledTets) -> None:
     """VTK's unstructured grid: cell data ``tissue``, and for each label a field array of its number and dimension."""
     import pyvista as pv
 
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: np.array(tets.tets)}, np.array(tets.vertices))
+    kind = {4: pv.CellType.TETRA, 10: pv.CellType.QUADRATIC_TETRA}[tets.tets.shape[1]]
+    grid = pv.UnstructuredGrid({kind: np.array(tets.tets)}, np.array(tets.vertices))
     tissue = np.empty(len(tets.tets), dtype=np.int64)
     for number, (label, own) in enumerate(tets.sets.items()):
         tissue[own] = number

@@ -130,6 +130,10 @@ class OpenSimModel:
     root: Element
 
 
+_LONGEST_VERSION = 9
+"""Digits of a file version: no version has more, and Python refuses to convert thousands."""
+
+
 def parse_osim(data: bytes, *, source: str) -> OpenSimModel:
     """Read an OpenSim model.
 
@@ -144,9 +148,9 @@ def parse_osim(data: bytes, *, source: str) -> OpenSimModel:
     if root.tag != "OpenSimDocument" or model is None:
         raise InputError(f"{source}: holds <{root.tag}>; expected an OpenSim model, <OpenSimDocument> with a <Model>")
     stated = root.attributes.get("Version", "")
-    if not stated.isdigit() or not OLDEST <= int(stated) <= NEWEST:
+    if not stated.isdecimal() or len(stated) > _LONGEST_VERSION or not OLDEST <= int(stated) <= NEWEST:
         raise InputError(
-            f"{source}: file version {stated or 'none'}; {OLDEST} to {NEWEST} are read: save it in OpenSim 4"
+            f"{source}: file version {stated[:20] or 'none'}; {OLDEST} to {NEWEST} are read: save it in OpenSim 4"
         )
     return _Reader(source, int(stated), model, data, root).read()
 

@@ -118,7 +118,7 @@ def _kinds(run: Path) -> Mapping[str, str]:
     """The kind of each tissue, by the name that the run's tetrahedra have it under."""
     report = json.loads((run / REPORT_JSON).read_text(encoding="utf-8"))
     try:
-        kinds = {str(row["name"]): str(row["kind"]) for row in report["result"]["tissues"]}
+        kinds = {str(row["name"]): str(row["kind"]) for row in report["tissues"]}
     except (KeyError, TypeError):
         raise InputError(f"{run / REPORT_JSON}: tells no tissues and kinds; run the rig again") from None
     safe = file_names([*kinds])

@@ -181,7 +181,7 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
     rest = two_tissues((4, 2, 2))
     labelled_tets(DeformedTets(rest, TURN(rest.mesh.vertices))).save(run / "tets.vtu")
     tissues = [{"name": tissue.name, "kind": tissue.kind.value} for tissue in rest.anatomy]
-    report = {"title": "Two", "result": {"tissues": tissues}}
+    report = {"title": "Two", "tissues": tissues}
     (run / "report.json").write_text(json.dumps(report), encoding="utf-8")
     places = rest.mesh.vertices[rest.mesh.tets[rest.tissue_of_tet == 0]].mean(axis=1)
     (fibres / "fibres.npz").write_bytes(fibre_bytes({"muscle": (places, np.tile([1.0, 0.0, 0.0], (len(places), 1)))}))

@@ -34,7 +34,7 @@ STANDS_FOR: Mapping[Method, Mapping[str, object]] = MappingProxyType(
                 "deformer.step": StepKind.CAYLEY.value,
                 "deformer.path": PathKind.JOINTS.value,
                 "deformer.degrees_per_step": 12.0,
-                "deformer.margin_floor": 0.35,
+                "deformer.margin_floor": 0.25,
                 "bones.rigid": True,
                 "bones.lock": True,
                 "surfaces.refine": True,

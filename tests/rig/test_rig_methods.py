@@ -63,7 +63,7 @@ def test_ten_lines_are_the_best_method() -> None:
             step=StepKind.CAYLEY,
             path=PathKind.JOINTS,
             degrees_per_step=12.0,
-            margin_floor=0.35,
+            margin_floor=0.25,
         ),
         bones=BoneSettings(rigid=True, lock=True),
         surfaces=SurfaceSettings(refine=True),

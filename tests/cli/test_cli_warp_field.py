@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import nibabel
 import numpy as np
 import pytest
 from tiny_rigs import TISSUES, write_tiny_rig
@@ -145,6 +146,9 @@ def test_what_cannot_be_done_is_refused_and_nothing_is_written(rig, tmp_path, mo
         affine[0, 1] = 0.3 if name == "sheared" else 0.0
         grid = Grid((10, 10, 10), affine)
         write_volume(tmp_path / f"{name}.nii", np.zeros(grid.shape, dtype=np.uint8), grid, description="")
+    image = nibabel.load(tmp_path / "sheared.nii")
+    image.set_qform(None, code=0)  # no shear can be told in it
+    nibabel.save(image, tmp_path / "sheared.nii")
     before = sorted(tmp_path.iterdir())
     assert main(["warp-field", str(rig), "--quiet", *arguments]) == 2
     assert message in capsys.readouterr().err

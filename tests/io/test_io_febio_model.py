@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 from tet_blocks import two_tissues
 
+import musclefit as mf
 from musclefit.cli import main
 from musclefit.errors import InputError
 from musclefit.geometry.rigid import RigidMotion
@@ -194,6 +195,24 @@ def test_the_command_writes_a_model_at_rest(folders: tuple[Path, Path], tmp_path
     root = ET.parse(tmp_path / "arm.feb").getroot()
     points = np.array([numbers(node.text) for node in root.iterfind("Mesh/Nodes/node")])
     np.testing.assert_array_equal(points, two_tissues((4, 2, 2)).mesh.vertices)
+
+
+@pytest.mark.slow
+def test_a_run_of_the_built_in_limb_becomes_a_model(tmp_path: Path) -> None:
+    """Every bone is a rigid body that ends where the run has it, every muscle has fibres, elements are right-handed."""
+    run = mf.run("upper_limb", out=tmp_path / "run", pictures=False, overrides=("compare.methods=[]",))
+    mf.architecture("upper_limb", deform=False, out=tmp_path / "fibres")
+    made = mf.febio_model(tmp_path / "run", tmp_path / "fibres", tmp_path / "limb.feb")
+    of_kind = {kind: {t.name for t in run.report.result.tissues if t.kind == kind} for kind in ("bone", "muscle")}
+    assert set(made.model.motions) == of_kind["bone"]
+    assert made.model.muscles == of_kind["muscle"]
+    assert max(made.bones_off_mm.values()) < 1e-6
+    corners = made.model.tets.vertices[made.model.tets.tets]
+    assert (np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0.0).all()
+    root = ET.parse(tmp_path / "limb.feb").getroot()
+    assert len(list(root.iterfind("Mesh/Elements/tet4"))) + len(list(root.iterfind("Mesh/Elements/elem"))) == len(
+        corners
+    )
 
 
 def test_what_is_no_fibres_or_no_feb_is_refused(folders: tuple[Path, Path], tmp_path: Path, capsys) -> None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import LandmarkError
-from musclefit.geometry.arrays import Int, Points, frozen
+from musclefit.geometry.arrays import Bool, Int, Points, frozen
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
-from musclefit.rig.handles import Handles
+from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.rigid import RigidMotion
+from musclefit.rig.handles import BoneMotions, Handles
+
+STILL = RigidMotion(np.eye(3), np.zeros(3))
 
 APART_SHARE = 0.02
 """Of a bone's size: closer to another bone no landmark is put. Where bones meet they share room in a pose, and no map
@@ -65,10 +70,21 @@ def spread_over(vertices: Points, count: int) -> Int:
     return numbers
 
 
-def bone_landmarks(anatomy: Anatomy, bones: Sequence[str], *, per_bone: int) -> Handles:
+def bone_landmarks(
+    anatomy: Anatomy, bones: Sequence[str], *, per_bone: int, motions: BoneMotions | None = None
+) -> Handles:
     """Handles spread over bones: ``bone_humerus_1``, ``bone_humerus_2``, ... owned by ``bone_humerus``.
 
-    None is where a bone all but meets another one, unless the bone has too few other vertices.
+    None is where a bone all but meets another one, at rest or where motions put them, unless the bone has too few
+    other vertices.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    bones : sequence of str
+    per_bone : int
+    motions : BoneMotions or None
+        From rest to the pose; bones that they do not name stay.
 
     Raises
     ------
@@ -80,8 +96,9 @@ def bone_landmarks(anatomy: Anatomy, bones: Sequence[str], *, per_bone: int) -> 
     names: list[str] = []
     owners: list[str] = []
     places: list[Points] = []
+    posed = {} if motions is None else motions.at(1.0)
     for bone in bones:
-        vertices = _away_from_others(anatomy, bone, at_least=per_bone)
+        vertices = _away_from_others(anatomy, bone, at_least=per_bone, posed=posed)
         try:
             places.append(vertices[spread_over(vertices, per_bone)])
         except LandmarkError as error:
@@ -91,18 +108,33 @@ def bone_landmarks(anatomy: Anatomy, bones: Sequence[str], *, per_bone: int) -> 
     return Handles(tuple(names), np.concatenate(places), tuple(owners))
 
 
-def _away_from_others(anatomy: Anatomy, bone: str, *, at_least: int) -> Points:
+def _away_from_others(anatomy: Anatomy, bone: str, *, at_least: int, posed: Mapping[str, RigidMotion]) -> Points:
     """The vertices of a bone that keep a distance from all other bones; all of them where too few do."""
     vertices = anatomy[bone].surface.vertices
     if not len(vertices):
         return vertices
     apart = APART_SHARE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    low, high = vertices.min(axis=0) - apart, vertices.max(axis=0) + apart
     far = np.ones(len(vertices), dtype=bool)
+    back = posed.get(bone, STILL).inverse()
     for other in anatomy.of_kind(TissueKind.BONE):
-        places = other.surface.vertices
-        if other.name == bone or (places.max(axis=0) < low).any() or (places.min(axis=0) > high).any():
+        if other.name == bone:
             continue
-        far[far] = nearest_places(vertices[far], other.surface).distances > apart
+        stands = [other.surface]
+        if posed:
+            motion = back @ posed.get(other.name, STILL)
+            stands.append(other.surface.with_vertices(motion(other.surface.vertices)))
+        for surface in stands:
+            far[far] = _is_apart(vertices[far], surface, apart)
     kept = vertices[far]
     return kept if len(np.unique(kept, axis=0)) >= at_least else vertices
+
+
+def _is_apart(points: Points, surface: TriMesh, apart: float) -> Bool:
+    """(N,) points outside a surface that are farther from it than so much."""
+    low, high = surface.vertices.min(axis=0) - apart, surface.vertices.max(axis=0) + apart
+    near = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    found: Bool = np.ones(len(points), dtype=bool)
+    if near.size:
+        within = winding_numbers(surface, points[near]) > 0.5
+        found[near] = ~within & (nearest_places(points[near], surface).distances > apart)
+    return found

@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, LandmarkError
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.spread import bone_landmarks, spread_over
 
 CUBE = np.array([[x, y, z] for x in (0.0, 10.0) for y in (0.0, 10.0) for z in (0.0, 10.0)])
@@ -85,3 +86,23 @@ def test_no_bone_landmark_is_where_two_bones_meet() -> None:
     # A bone between two others meets them everywhere, and has its landmarks all the same.
     few = Anatomy((tissues[0], Tissue("bone_c", TissueKind.BONE, TriMesh(places[0] * 1.001, lower.faces))), "test")
     assert len(bone_landmarks(few, ["bone_a"], per_bone=8).source) == 8
+
+
+class _Tipped:
+    """The upper bone is brought down, into the lower one."""
+
+    def at(self, t: float) -> dict[str, RigidMotion]:
+        return {"bone_b": RigidMotion(np.eye(3), np.array([0.0, 0.0, -30.0 * t]))}
+
+
+def test_no_bone_landmark_is_within_another_bone_at_the_pose() -> None:
+    box = trimesh.creation.box([10.0, 10.0, 40.0])
+    for _ in range(3):
+        box = box.subdivide()
+    places = {"bone_a": np.asarray(box.vertices), "bone_b": np.add(0.8 * box.vertices, [0.0, 0.0, 60.0])}
+    anatomy = Anatomy(tuple(Tissue(name, TissueKind.BONE, TriMesh(v, box.faces)) for name, v in places.items()), "test")
+    at_rest = bone_landmarks(anatomy, ["bone_a", "bone_b"], per_bone=12)
+    low = at_rest.source[np.array(at_rest.owner) == "bone_b"][:, 2] - 30.0
+    assert (low < 20.0).any()  # they would be within the lower bone
+    posed = bone_landmarks(anatomy, ["bone_a", "bone_b"], per_bone=12, motions=_Tipped())
+    assert (posed.source[np.array(posed.owner) == "bone_b"][:, 2] - 30.0 > 20.0).all()

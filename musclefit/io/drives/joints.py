@@ -139,5 +139,7 @@ class OnJoints(Driver):
 
     def handles_on_path(self, anatomy: Anatomy) -> tuple[Handles, HandlePath]:
         """The landmarks on their bones."""
-        handles = self.landmarks or bone_landmarks(anatomy, self.joints.bones(), per_bone=self.per_bone)
+        handles = self.landmarks or bone_landmarks(
+            anatomy, self.joints.bones(), per_bone=self.per_bone, motions=self.motions
+        )
         return handles, path_by_joints(handles, self.motions, kind=self.path)

@@ -224,7 +224,9 @@ class OnModel(Driver):
     def handles_on_path(self, anatomy: Anatomy) -> tuple[Handles, HandlePath]:
         """The landmarks on their bones."""
         bones = self.followed.bones()
-        handles = self.landmarks or bone_landmarks(anatomy, bones, per_bone=self.drive.landmarks_per_bone)
+        handles = self.landmarks or bone_landmarks(
+            anatomy, bones, per_bone=self.drive.landmarks_per_bone, motions=self._motions
+        )
         return handles, path_by_joints(handles, self._motions, kind=self.path, by="body")
 
 

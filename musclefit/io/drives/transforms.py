@@ -153,5 +153,7 @@ class OnTransforms(Driver):
     def handles_on_path(self, anatomy: Anatomy) -> tuple[Handles, HandlePath]:
         """The landmarks on their bones."""
         per_bone = self.drive.landmarks_per_bone
-        handles = self.landmarks or bone_landmarks(anatomy, self.transforms.bones(), per_bone=per_bone)
+        handles = self.landmarks or bone_landmarks(
+            anatomy, self.transforms.bones(), per_bone=per_bone, motions=self.motions
+        )
         return handles, path_by_joints(handles, self.motions, kind=self.path, by="transform")

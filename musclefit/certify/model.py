@@ -53,7 +53,7 @@ class StepCertificate:
     boxes_examined, boxes_left : int
         Boxes evaluated; boxes on which the condition stayed unproved.
     domain_low, domain_high : Place
-        Bounding box of the convex domain of the proof.
+        Bounding box of the domain of the proof, which is convex unless it is by pairs.
     note : str
         Why it is not certified.
     proof : Proof

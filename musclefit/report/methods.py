@@ -236,8 +236,8 @@ def _map(report: Report) -> str:
     found = report.result.map
     points = f"{found.points_tested:,} points".replace(",", "\N{NARROW NO-BREAK SPACE}")
     return {
-        Claim.CERTIFIED: "Each step was proved one-to-one on a convex domain that contains what lies inside the skin, "
-        "by branch and bound over boxes with outward rounding.",
+        Claim.CERTIFIED: "Each step was proved one-to-one on a domain that contains the body, by branch and bound over "
+        "boxes, rounding included.",
         Claim.SAMPLED: f"The condition was tested at {points}; between them nothing was proved.",
         Claim.UNDECIDED: f"The condition was tested at {points}; a proof between them was tried and did not come to an "
         "end.",
@@ -274,7 +274,7 @@ def _checks(report: Report, references: _References) -> str:
     ]
     broken = [check.name for check in report.checks if not check.passed]
     verdict = f"These limits were broken: {', '.join(broken)}." if broken else "All limits were kept."
-    solids = f"Overlaps were measured as volumes of exact intersections of solids {references.to('manifold')}."
+    solids = f"Overlaps were measured as volumes of intersections of solids {references.to('manifold')}."
     return f"{solids} {_sentence(_joined(told))} {verdict}" if told else f"{solids} {verdict}"
 
 

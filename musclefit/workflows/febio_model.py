@@ -1,4 +1,4 @@
-"""A model that FEBio solves, from a run with tetrahedra and the fibres of its muscles."""
+"""A model for FEBio, from a run with tetrahedra and the fibres of its muscles."""
 
 from __future__ import annotations
 

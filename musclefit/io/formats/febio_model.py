@@ -1,4 +1,4 @@
-"""A model that FEBio 4 solves, from tetrahedra at rest: muscles with fibres, rigid bones on their way, soft filler.
+"""A model for FEBio 4, from tetrahedra at rest: muscles with fibres, rigid bones on their way, soft filler.
 
 Tissues share the nodes of their common faces, so that muscle and filler are tied to bone and to each other; nothing
 slides. Bones that move as one are one rigid body, and go along the screw from rest to their pose.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ from musclefit.errors import InputError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.febio_model import FebioModel, write_febio_model
 from musclefit.io.formats.fibre_directions import FIBRES, read_fibres
+from musclefit.io.formats.tables import parse_json
+from musclefit.io.formats.texts import read_bytes
 from musclefit.io.run_folder import REPORT_JSON, file_names
 from musclefit.io.run_tets import Shape, read_run_tets
 from musclefit.workflows.results import Shown
@@ -116,7 +117,7 @@ def febio_model(run: str | Path, architecture: str | Path, out: str | Path) -> F
 
 def _kinds(run: Path) -> Mapping[str, str]:
     """The kind of each tissue, by the name that the run's tetrahedra have it under."""
-    report = json.loads((run / REPORT_JSON).read_text(encoding="utf-8"))
+    report = parse_json(read_bytes(run / REPORT_JSON), source=str(run / REPORT_JSON))
     try:
         kinds = {str(row["name"]): str(row["kind"]) for row in report["tissues"]}
     except (KeyError, TypeError):

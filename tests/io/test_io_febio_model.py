@@ -225,6 +225,14 @@ def test_what_is_no_fibres_or_no_feb_is_refused(folders: tuple[Path, Path], tmp_
     assert not (tmp_path / "arm.feb").exists()
 
 
+@pytest.mark.parametrize("damaged", ['{"tissues": [', '{"title": "Two"}', "[]"])
+def test_a_damaged_report_is_refused(damaged: str, folders: tuple[Path, Path], tmp_path: Path, capsys) -> None:
+    (folders[0] / "report.json").write_text(damaged, encoding="utf-8")
+    assert main(["febio-model", *map(str, folders), str(tmp_path / "arm.feb")]) == 2
+    assert "report.json" in capsys.readouterr().err
+    assert not (tmp_path / "arm.feb").exists()
+
+
 def test_fibres_are_read_back(tmp_path: Path) -> None:
     places = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     (tmp_path / "fibres.npz").write_bytes(fibre_bytes({"a": (places[:1], places[:1]), "b": (places[1:], places[1:])}))

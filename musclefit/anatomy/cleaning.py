@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.anatomy.model import Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Bool, Faces, Int, Points
@@ -334,5 +334,4 @@ def _count(n: int, one: str, many: str = "") -> str:
 
 def _listed(volumes: Points) -> str:
     largest = np.sort(volumes)[::-1]
-    said = ", ".join(f"{volume:.4g}" for volume in largest[:4])
-    return said + (", ..." if len(largest) > 4 else "")
+    return some_of((f"{volume:.4g}" for volume in largest), most=4)

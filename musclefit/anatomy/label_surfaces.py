@@ -16,7 +16,7 @@ surfaces that are no manifolds, which no anatomy may have.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
@@ -27,7 +27,7 @@ from scipy.ndimage import find_objects, gaussian_filter, label
 from skimage.measure import marching_cubes
 
 from musclefit.anatomy.cleaning import take_in
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Float, Int, Points
@@ -153,7 +153,7 @@ def label_anatomy(
         there = name.kind is TissueKind.SKIN or name.value in values
         (present if there else absent).append(name)
     if absent:
-        message = f"{source}: {len(absent)} named labels have no voxel: {_some(n.name for n in absent)}"
+        message = f"{source}: {len(absent)} named labels have no voxel: {some_of(n.name for n in absent)}"
         found.append(Finding(source, "absent-labels", message))
     where = {int(value): number for number, value in enumerate(values)}
     numbers = {name.name: 0 if name.kind is TissueKind.SKIN else where[name.value] for name in present}
@@ -418,13 +418,8 @@ def _without_name(values: Int, names: Sequence[LabelName], source: str) -> list[
     unnamed = sorted({int(value) for value in values} - {0} - {name.value for name in names})
     if not unnamed:
         return []
-    message = f"{source}: {len(unnamed)} labels without a name were left out: {_some(str(v) for v in unnamed)}"
+    message = f"{source}: {len(unnamed)} labels without a name were left out: {some_of(str(v) for v in unnamed)}"
     return [Finding(source, "unnamed-labels", message)]
-
-
-def _some(words: Iterable[str]) -> str:
-    listed = list(words)
-    return ", ".join(listed[:8]) + (", ..." if len(listed) > 8 else "")
 
 
 def _require_labels(labels: NDArray[Any], grid: Grid, names: Sequence[LabelName], source: str) -> Int:

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from musclefit.anatomy.cleaning import require_plausible_size, take_in
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Faces, Points, frozen
@@ -305,5 +305,5 @@ def _kind(name: str, path: Path, kinds: Sequence[tuple[str, TissueKind]]) -> tup
 def _require_used(kinds: Sequence[tuple[str, TissueKind]], names: Sequence[str]) -> None:
     for pattern, kind in kinds:
         if not any(fnmatchcase(name, pattern) for name in names):
-            some = ", ".join(sorted(names)[:6]) + (", ..." if len(names) > 6 else "")
+            some = some_of(sorted(names), most=6)
             raise InputError(f"kind {kind.value} is set for {pattern!r}, which no tissue is named; there are: {some}")

@@ -7,7 +7,7 @@ kind to the tissue of fewer voxels: what is small or deep is not swallowed by wh
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import sha256
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.anatomy.kind_words import kind_by_name
 from musclefit.anatomy.label_surfaces import MOST_LABELS, LabelName
 from musclefit.anatomy.model import TissueKind
@@ -142,7 +142,7 @@ def _from_map(
     if table and not set(given) & set(present):
         raise InputError(
             f"{source}: none of the {len(given)} values in the table of names is in the image, which holds "
-            f"{_some(str(v) for v in present)}; give the table of this segmentation"
+            f"{some_of(str(v) for v in present)}; give the table of this segmentation"
         )
     rows = list(given.values()) or [NamedValue(value, f"label_{value}", None) for value in present]
     found: list[Finding] = []
@@ -155,7 +155,7 @@ def _from_map(
     chosen = tuple(LabelName(row.value, row.name, known[row.name]) for row in rows if row.value in values)
     absent = [row.name for row in rows if row.value not in values]
     if absent:
-        said = f"{source.name}: {len(absent)} of the names have no voxel: {_some(absent)}"
+        said = f"{source.name}: {len(absent)} of the names have no voxel: {some_of(absent)}"
         found.append(Finding(source.name, "absent-labels", said))
     _require_one_skin(chosen)
     return Segmentation(labels, image.grid, chosen, "label map", (), (*found, *told), hashes)
@@ -258,8 +258,8 @@ def _painted(
     strange = [name for name in stated if name not in {mask.name for mask in masks}]
     if len(strange) == len(stated) and stated:
         raise InputError(
-            f"{source}: no mask has a name of the table; it names {_some(strange)}, the masks are "
-            f"{_some(mask.name for mask in masks)}"
+            f"{source}: no mask has a name of the table; it names {some_of(strange)}, the masks are "
+            f"{some_of(mask.name for mask in masks)}"
         )
     known, told = _kinds_of({mask.name: stated.get(mask.name) for mask in masks}, kinds)
     found += told
@@ -267,7 +267,7 @@ def _painted(
     empty = [name for name, count in counts.items() if not count]
     if empty:
         found.append(
-            Finding(source.name, "absent-labels", f"{source.name}: {len(empty)} masks are empty: {_some(empty)}")
+            Finding(source.name, "absent-labels", f"{source.name}: {len(empty)} masks are empty: {some_of(empty)}")
         )
     order = list(TissueKind)
     there = sorted(
@@ -302,7 +302,7 @@ def _painted(
     swallowed = [name.name for name in names if not left[name.value] and name.kind is not TissueKind.SKIN]
     if swallowed:
         said = (
-            f"{source.name}: {len(swallowed)} masks lie wholly within others that keep the voxels: {_some(swallowed)}"
+            f"{source.name}: {len(swallowed)} masks lie wholly within others that keep the voxels: {some_of(swallowed)}"
         )
         found.append(Finding(source.name, "swallowed", said))
     kept = tuple(name for name in names if name.name not in swallowed)
@@ -314,7 +314,7 @@ def _own_names(rows: Sequence[NamedValue], found: list[Finding]) -> list[NamedVa
     often = Counter(row.name for row in rows)
     doubled = sorted(name for name, count in often.items() if count > 1)
     if doubled:
-        said = f"{len(doubled)} names stand for several labels, to which their value is added: {_some(doubled)}"
+        said = f"{len(doubled)} names stand for several labels, to which their value is added: {some_of(doubled)}"
         found.append(Finding(doubled[0], "repeated-names", said))
     return [NamedValue(r.value, f"{r.name}_{r.value}" if often[r.name] > 1 else r.name, r.kind) for r in rows]
 
@@ -325,7 +325,7 @@ def _kinds_of(
     for pattern, kind in kinds:
         if not any(fnmatchcase(name, pattern) for name in stated):
             raise InputError(
-                f"kind {kind.value} is set for {pattern!r}, which no label is named; there are: {_some(stated)}"
+                f"kind {kind.value} is set for {pattern!r}, which no label is named; there are: {some_of(stated)}"
             )
     chosen: dict[str, TissueKind] = {}
     by_words: list[str] = []
@@ -339,14 +339,14 @@ def _kinds_of(
     told = []
     if by_words:
         parts = [
-            f"{kind.value}: {_some(n for n in by_words if chosen[n] is kind)}"
+            f"{kind.value}: {some_of(n for n in by_words if chosen[n] is kind)}"
             for kind in TissueKind
             if any(chosen[n] is kind for n in by_words)
         ]
         told.append(Finding("kinds", "kinds-by-name", f"kinds by their names: {'; '.join(parts)}"))
     if unknown:
         message = (
-            f"{len(unknown)} labels whose names say no kind are other: {_some(unknown)}; set it by --kind or a table"
+            f"{len(unknown)} labels whose names say no kind are other: {some_of(unknown)}; set it by --kind or a table"
         )
         told.append(Finding("kinds", "unknown-kind", message))
     return chosen, told
@@ -371,8 +371,8 @@ def _require_mask(layer: NDArray[Any], what: str) -> None:
     values = values[values != 0]
     if len(values) > 1:
         raise InputError(
-            f"{what} holds {len(values)} different labels ({_some(str(v) for v in values)}); a mask holds one: give a "
-            "label map as one image of three axes"
+            f"{what} holds {len(values)} different labels ({some_of(str(v) for v in values)}); a mask holds one: give "
+            "a label map as one image of three axes"
         )
 
 
@@ -400,10 +400,5 @@ def _require_one_skin(names: Sequence[LabelName]) -> None:
     skins = [name.name for name in names if name.kind is TissueKind.SKIN]
     if len(skins) > 1:
         raise InputError(
-            f"{len(skins)} labels are skin ({_some(skins)}); at most one may be: set the others' by --kind"
+            f"{len(skins)} labels are skin ({some_of(skins)}); at most one may be: set the others' by --kind"
         )
-
-
-def _some(words: Iterable[str]) -> str:
-    listed = list(words)
-    return ", ".join(listed[:8]) + (", ..." if len(listed) > 8 else "")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
-import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -86,19 +84,6 @@ def cohort_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     ]
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV; numbers as Python writes them, nothing where there is no value.
-
-    A cell that a spreadsheet would take for a formula gets an apostrophe in front.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    headings = list(rows[0]) if rows else []
-    writer.writerow([_cell(heading) for heading in headings])
-    writer.writerows([[_cell(row.get(heading)) for heading in headings] for row in rows])
-    return text.getvalue()
-
-
 def outliers(outcomes: Sequence[Outcome]) -> tuple[Outlier, ...]:
     """Measures far from the median of their rig and motion, by the modified z-score, the farthest first.
 
@@ -168,12 +153,3 @@ def render_cohort(
             "outliers_from": OUTLIERS_FROM,
         },
     )
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return repr(value)
-    text = str(value)
-    return f"'{text}" if isinstance(value, str) and text[:1] in ("=", "+", "-", "@", "\t", "\r") else text

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.anatomy.mesh_fidelity import TissueFit
 from musclefit.anatomy.model import TissueKind
 from musclefit.geometry.queries.solids import ROUNDING_MM3
@@ -247,7 +247,7 @@ class MeshReport:
             checks.append(_total("outside skin", outside, limit, next_step=next_steps.REST_OUT_OF_SKIN))
         for code in self.fail_on:
             found = [finding.subject for finding in self.findings if finding.code == code]
-            place = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
+            place = some_of(found, most=3)
             checks.append(Check(code, float(len(found)), 0.0, "findings", place, next_step=next_steps.REST_FAULTS))
         unusable = any(finding.code == "unusable" for finding in self.findings)
         checked = _all_checked(self.overlaps.not_checked)

@@ -15,8 +15,6 @@ from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.rig.handles import BoneMotions, Handles
 
-STILL = RigidMotion(np.eye(3), np.zeros(3))
-
 APART_SHARE = 0.02
 """Of a bone's size: closer to another bone no landmark is put. Where bones meet they share room in a pose, and no map
 brings both to their places."""
@@ -115,13 +113,14 @@ def _away_from_others(anatomy: Anatomy, bone: str, *, at_least: int, posed: Mapp
         return vertices
     apart = APART_SHARE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     far = np.ones(len(vertices), dtype=bool)
-    back = posed.get(bone, STILL).inverse()
+    still = RigidMotion.identity()
+    back = posed.get(bone, still).inverse()
     for other in anatomy.of_kind(TissueKind.BONE):
         if other.name == bone:
             continue
         stands = [other.surface]
         if posed:
-            motion = back @ posed.get(other.name, STILL)
+            motion = back @ posed.get(other.name, still)
             stands.append(other.surface.with_vertices(motion(other.surface.vertices)))
         for surface in stands:
             far[far] = _is_apart(vertices[far], surface, apart)

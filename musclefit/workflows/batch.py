@@ -26,15 +26,12 @@ from musclefit.io.rigs import read_rig
 from musclefit.io.studies import Case, FileHashes, Study, input_files, inputs_of, read_study
 from musclefit.progress import Progress
 from musclefit.workflows.batch_slurm import write_slurm
-from musclefit.workflows.batch_tasks import died, make, make_case, prepare, sizes_of
+from musclefit.workflows.batch_tasks import ATTEMPTS, died, make, make_case, prepare, sizes_of
 from musclefit.workflows.collect import Cohort, collect, require_pyarrow, require_study_folder, write_study_json
 from musclefit.workflows.cost import CostModel, Forecast, Sizes, available_mb, workers_that_fit
 from musclefit.workflows.progress import TimedStages, watched
 from musclefit.workflows.sequence import planned
 from musclefit.workflows.worker_pool import Died, Pool
-
-ATTEMPTS = 3
-"""How often a case is tried whose process ends without a word."""
 
 Backend = Callable[[Study, Path, list[int], int], Iterator[CaseOutcome]]
 """Makes the cases of the given numbers with so many workers; gives each outcome as it is done."""

@@ -10,10 +10,7 @@ from threading import Lock
 from musclefit.errors import InputError
 from musclefit.io.case_folders import CaseOutcome
 from musclefit.io.studies import FileHashes, Study
-from musclefit.workflows.batch_tasks import broke_off, died, make_case
-
-ATTEMPTS = 3
-"""How often a case is tried whose worker ends without a word."""
+from musclefit.workflows.batch_tasks import ATTEMPTS, broke_off, died, make_case
 
 ANSWER_S = 30.0
 """How long a scheduler may take to answer."""

@@ -40,6 +40,9 @@ from musclefit.validate.model import Check
 
 TRACEBACK = "traceback.txt"
 
+ATTEMPTS = 3
+"""How often a case is tried whose process ends without a word."""
+
 WAIT_S = 0.2
 """Between two looks at whether another process is done with a case."""
 

@@ -13,9 +13,10 @@ from typing import Any
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically, write_bytes_atomically
 from musclefit.io.case_folders import MISSING, PASSED, RESULT, SUBJECTS, CaseOutcome, case_folder, read_case, read_cost
+from musclefit.io.formats.rows import csv_of
 from musclefit.io.run_folder import PICTURES, REPORT_HTML
 from musclefit.io.studies import Study
-from musclefit.report.cohort import Outlier, cohort_rows, csv_text, outliers, render_cohort
+from musclefit.report.cohort import Outlier, cohort_rows, outliers, render_cohort
 from musclefit.workflows.results import Shown
 
 STUDY_JSON, OUTCOMES_CSV, OUTCOMES_PARQUET = "study.json", "outcomes.csv", "outcomes.parquet"
@@ -97,15 +98,15 @@ def collect(folder: str | Path, *, parquet: bool = False) -> Cohort:
     title, told = _read_study_json(out)
     outcomes = tuple(_outcome(out, case) for case in told)
     rows = cohort_rows(outcomes)
-    write_atomically(out / OUTCOMES_CSV, csv_text(rows))
+    write_atomically(out / OUTCOMES_CSV, csv_of(rows))
     checks = [{"case": o.name, **check} for o in outcomes for check in o.checks]
-    write_atomically(out / CHECKS_CSV, csv_text(checks))
+    write_atomically(out / CHECKS_CSV, csv_of(checks))
     costs = [
         {"case": o.name, "cpu_s": c.cpu_s, "wall_s": c.wall_s, "process_peak_mb": c.process_peak_mb, **_sizes(c.sizes)}
         for o in outcomes
         if (c := read_cost(out, o.name)) is not None
     ]
-    write_atomically(out / COSTS_CSV, csv_text(costs))
+    write_atomically(out / COSTS_CSV, csv_of(costs))
     if parquet:
         write_bytes_atomically(out / OUTCOMES_PARQUET, parquet_bytes(rows))
     links, thumbnails = {}, {}

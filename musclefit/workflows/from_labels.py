@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.anatomy.label_surfaces import LabelFit, label_anatomy, label_fits
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.anatomy.repair.records import RepairSettings
@@ -32,15 +32,13 @@ from musclefit.pipeline.repair import RawTissue
 from musclefit.pipeline.repair import repair as repaired
 from musclefit.progress import Progress
 from musclefit.report.repairs import RepairReport, repair_json
-from musclefit.rig.articulation import fitted_joint
+from musclefit.rig.articulation import WITHIN_MM, fitted_joint
 from musclefit.rig.named_joints import NamedJoint, named_joints
 from musclefit.validate.overlaps import rest_overlaps
 from musclefit.workflows.fit_joint import JointFit
 from musclefit.workflows.given import KindsGiven, kinds_given, word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
-
-WITHIN_MM = 5.0
 
 FIRST_DEG = 10.0
 """How far the rig's pose turns the first joint."""
@@ -229,7 +227,7 @@ def _joints(anatomy: Anatomy, within_mm: float) -> tuple[tuple[LabelledJoint, ..
     joined = {frozenset((one.joint.fixed, one.joint.moving)) for one in fitted}
     left = sorted({tuple(sorted((a, b))) for a, others in meeting.items() for b in others if {a, b} not in joined})
     if left:
-        some = ", ".join(" and ".join(pair) for pair in left[:4]) + (", ..." if len(left) > 4 else "")
+        some = some_of((" and ".join(pair) for pair in left), most=4)
         message = (
             f"{len(left)} pairs of bones meet and were given no joint: {some}; fit one by musclefit fit-joint, and add "
             f"it to {JOINTS}"

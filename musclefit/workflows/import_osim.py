@@ -12,7 +12,7 @@ import numpy as np
 from musclefit.errors import InputError
 from musclefit.io.formats.opensim_motion import parse_opensim_motion
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
-from musclefit.io.formats.rows import csv_text
+from musclefit.io.formats.rows import csv_of
 from musclefit.io.formats.tables import toml_string
 from musclefit.io.formats.texts import read_bytes
 from musclefit.io.opensim_geometry import BETWEEN, PlacedMesh, find_geometry, placed_meshes
@@ -150,10 +150,10 @@ def import_osim(
         called = Path(motion).name if motion is not None else ""
         texts = {
             RIG: rig_text(read, meshes, motion=called),
-            "muscle_paths.csv": _points_csv(read, muscles=True),
-            "markers.csv": _points_csv(read, muscles=False),
-            "wraps.csv": _wraps_csv(read),
-            "coordinates.csv": _csv(list(_coordinate_rows(read))),
+            "muscle_paths.csv": _pointscsv_of(read, muscles=True),
+            "markers.csv": _pointscsv_of(read, muscles=False),
+            "wraps.csv": _wrapscsv_of(read),
+            "coordinates.csv": csv_of(list(_coordinate_rows(read))),
         }
         contents = {name: text.encode() for name, text in texts.items() if text} | {MODEL: read.data}
         if motion_bytes is not None:
@@ -218,7 +218,7 @@ def _first_pose(model: OpenSimModel) -> str:
     raise InputError(f"{model.source}: no coordinate is an angle that is free; give a motion with --motion")
 
 
-def _points_csv(model: OpenSimModel, *, muscles: bool) -> str:
+def _pointscsv_of(model: OpenSimModel, *, muscles: bool) -> str:
     places = model.multibody.places({})
     rows = []
     for point in model.points:
@@ -227,10 +227,10 @@ def _points_csv(model: OpenSimModel, *, muscles: bool) -> str:
         x, y, z = places[point.body](point.at[None])[0].tolist()
         row = {"name": point.name, "x_mm": x, "y_mm": y, "z_mm": z, "body": point.body}
         rows.append(row | ({"muscle": point.of, "kind": point.kind} if muscles else {}))
-    return _csv(rows)
+    return csv_of(rows)
 
 
-def _wraps_csv(model: OpenSimModel) -> str:
+def _wrapscsv_of(model: OpenSimModel) -> str:
     places = model.multibody.places({})
     rows = []
     for wrap in model.wraps:
@@ -240,7 +240,7 @@ def _wraps_csv(model: OpenSimModel) -> str:
         sizes = " ".join(f"{size:.6g}" for size in wrap.sizes_mm)
         row = {"name": wrap.name, "x_mm": x, "y_mm": y, "z_mm": z, "body": wrap.body, "kind": wrap.kind}
         rows.append({**row, **axis, "sizes_mm": sizes})
-    return _csv(rows)
+    return csv_of(rows)
 
 
 def _coordinate_rows(model: OpenSimModel) -> Iterable[dict[str, Any]]:
@@ -259,7 +259,3 @@ def _coordinate_rows(model: OpenSimModel) -> Iterable[dict[str, Any]]:
             "locked": of.locked,
             "follows": coupled.get(of.name, ""),
         }
-
-
-def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    return csv_text([rows[0], *(row.values() for row in rows)]) if rows else ""

@@ -19,10 +19,11 @@ from musclefit.cli import main
 from musclefit.errors import InputError, RigError
 from musclefit.io.case_folders import case_folder
 from musclefit.io.folder_locks import held
+from musclefit.io.formats.rows import csv_of
 from musclefit.io.run_folder import ply_bytes
 from musclefit.io.studies import FileHashes, inputs_of, read_study
 from musclefit.progress import Silent
-from musclefit.report.cohort import cohort_rows, csv_text, outliers, render_cohort
+from musclefit.report.cohort import cohort_rows, outliers, render_cohort
 from musclefit.workflows.batch import batch
 from musclefit.workflows.collect import collect
 
@@ -277,6 +278,6 @@ def test_hostile_names_do_no_harm_in_page_and_table() -> None:
     rows = cohort_rows([outcome])
     assert rows[0]["status"] == "input refused"
     assert rows[0]["subject: status"] == "x"
-    (row,) = csv.DictReader(csv_text(rows).splitlines())
+    (row,) = csv.DictReader(csv_of(rows).splitlines())
     assert row["subject"] == f"'={name}"
     assert row["case"] == name

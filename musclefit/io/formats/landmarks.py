@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.findings import Finding, some_of
 from musclefit.errors import InputError, LandmarkError
 from musclefit.geometry.arrays import Points, frozen
 from musclefit.io.formats.rows import PositionColumns, Rows, csv_lines
@@ -189,7 +189,7 @@ def paired(source: LandmarkTable, target: LandmarkTable) -> LandmarkTable:
     for table, other in ((source, target), (target, source)):
         alone = [name for name in table.names if name not in other.names]
         if alone:
-            said = ", ".join(alone[:6]) + (", ..." if len(alone) > 6 else "")
+            said = some_of(alone, most=6)
             message = f"{table.path.name}: {len(alone)} landmarks are not used, {other.path.name} names none so: {said}"
             findings.append(Finding(table.path.name, "unmatched-landmarks", message))
     rows = [source.names.index(name) for name in both]
@@ -218,7 +218,7 @@ def positions_of(table: LandmarkTable, names: Sequence[str]) -> Points:
     index = {name: i for i, name in enumerate(table.names)}
     missing = [name for name in names if name not in index]
     if missing:
-        said = ", ".join(missing[:6]) + (", ..." if len(missing) > 6 else "")
+        said = some_of(missing, most=6)
         raise LandmarkError(
             f"{table.path}: a keyframe says where every landmark is; {len(missing)} are missing: {said}"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,6 +111,11 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([plain_cell(cell) for cell in row] for row in rows)
     return text.getvalue()
+
+
+def csv_of(rows: Sequence[Mapping[str, object]]) -> str:
+    """The same of rows by heading, those of the first; empty where there is none."""
+    return csv_text([rows[0], *([row.get(heading) for heading in rows[0]] for row in rows)]) if rows else ""
 
 
 def csv_lines(text: str, path: Path, *, delimiter: str) -> list[tuple[int, tuple[str, ...]]]:

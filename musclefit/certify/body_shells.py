@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
+from musclefit.certify.cell_counts import counts_before, counts_between
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
@@ -127,19 +128,13 @@ class Shell:
         first = np.floor((low - self.low) / self.edge - GRID_ROUNDING)
         last = np.floor((high - self.low) / self.edge + GRID_ROUNDING)
         within: Bool = np.asarray(np.concatenate([first >= 0, last < counts], axis=1).all(axis=1), dtype=bool)
-        a, b = first[within].astype(int), last[within].astype(int) + 1
-        met = np.zeros(len(a), dtype=np.int64)
-        for ends in np.ndindex(2, 2, 2):
-            corner = np.where(np.array(ends) == 1, b, a)
-            met += (-1) ** (3 - sum(ends)) * self._outside_before[tuple(corner.T)]
+        met = counts_between(self._outside_before, first[within].astype(int), last[within].astype(int))
         within[within] = met == 0
         return within
 
     @cached_property
     def _outside_before(self) -> Int:
-        """(i + 1, j + 1, k + 1) how many voxels outside stand before each along all axes."""
-        sums = np.pad(self.outside.astype(np.int64), ((1, 0),) * 3)
-        return sums.cumsum(axis=0).cumsum(axis=1).cumsum(axis=2)
+        return counts_before(self.outside)
 
 
 def skin_shell(skin: TriMesh, *, voxels: int) -> Shell:

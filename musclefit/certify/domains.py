@@ -65,12 +65,16 @@ class Hull:
 
     def cells(self, count: int) -> tuple[Points, Float]:
         """About ``count`` boxes, nearly cubes, that cover it: centres and half widths."""
-        extent = self.high - self.low
-        side = (float(np.prod(extent)) / count) ** (1.0 / len(extent))
-        pieces = np.maximum(np.ceil(extent / side).astype(int), 1)
-        half = 0.5 * extent / pieces
-        axes = [self.low[k] + half[k] * (2 * np.arange(pieces[k]) + 1) for k in range(len(extent))]
-        centres = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
-        halves = np.tile(half, (len(centres), 1))
+        centres, halves = box_cells(self.low, self.high - self.low, count)
         kept = self.meets(centres, halves)
         return centres[kept], halves[kept]
+
+
+def box_cells(low: Float, extent: Float, count: int) -> tuple[Points, Float]:
+    """About ``count`` boxes, nearly cubes, that an axis-aligned box is cut into: centres and half widths, mm."""
+    side = (float(np.prod(extent)) / count) ** (1.0 / len(extent))
+    pieces = np.maximum(np.ceil(extent / side).astype(int), 1)
+    half = 0.5 * extent / pieces
+    axes = [low[k] + half[k] * (2 * np.arange(pieces[k]) + 1) for k in range(len(extent))]
+    centres = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+    return centres, np.tile(half, (len(centres), 1))

@@ -9,6 +9,8 @@ from typing import Self
 import numpy as np
 from scipy import ndimage
 
+from musclefit.certify.cell_counts import counts_before, counts_between
+from musclefit.certify.domains import box_cells
 from musclefit.geometry.arrays import Bool, Float, Int, Points
 
 CELLS = 32
@@ -87,13 +89,7 @@ class Region:
 
     def boxes(self, count: int) -> tuple[Points, Float]:
         """About ``count`` cubes that cover its bounding box, those that meet it: centres and half widths."""
-        extent = self.edge * np.array(self.inside.shape)
-        side = (float(np.prod(extent)) / count) ** (1.0 / len(extent))
-        pieces = np.maximum(np.ceil(extent / side).astype(int), 1)
-        half = 0.5 * extent / pieces
-        axes = [self.low[k] + half[k] * (2 * np.arange(pieces[k]) + 1) for k in range(len(extent))]
-        centres = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
-        halves = np.tile(half, (len(centres), 1))
+        centres, halves = box_cells(self.low, self.edge * np.array(self.inside.shape), count)
         kept = self.meets(centres, halves)
         return centres[kept], halves[kept]
 
@@ -105,19 +101,11 @@ class Region:
 
     def _count(self, first: Int, last: Int) -> Int:
         """(N,) cells of the region between two cells, both included."""
-        n = first.shape[1]
-        total = np.zeros(len(first), dtype=np.int64)
-        for ends in np.ndindex(*(2,) * n):
-            corner = np.where(np.array(ends) == 1, last + 1, first)
-            total += (-1) ** (n - sum(ends)) * self._before[tuple(corner.T)]
-        return total
+        return counts_between(self._before, first, last)
 
     @cached_property
     def _before(self) -> Int:
-        sums = np.pad(self.inside.astype(np.int64), ((1, 0),) * self.inside.ndim)
-        for axis in range(sums.ndim):
-            sums = sums.cumsum(axis=axis)
-        return sums
+        return counts_before(self.inside)
 
 
 def _touched(points: Points, radii: Float, low: Float, edge: float) -> tuple[Int, Int]:

@@ -351,7 +351,11 @@ def _sines(end: _End, at: Points, along: Float, blur: float) -> Float:
 
 def _loss_roots(end: _End, at: Points, along: Float, blur: float) -> Float:
     """Roots of Geman and McClure's loss, whose squares' mean is the loss."""
-    sines = _sines(end, at, along, blur)
+    return _roots(end, _sines(end, at, along, blur))
+
+
+def _roots(end: _End, sines: Float) -> Float:
+    """Of Geman and McClure's loss of the sines of angles, by area."""
     roots: Float = np.sqrt(end.areas / end.areas.sum()) * sines / np.sqrt(sines**2 + SLOPE**2)
     return roots
 
@@ -444,11 +448,15 @@ def _best_centre(ends: Sequence[_End], region: _Region) -> Points:
     return min((_refined_centre(ends, starts[k], region) for k in best), key=lambda found: found[1])[0]
 
 
-def _centre_roots(end: _End, at: Points, blur: float) -> Float:
+def _centre_sines(end: _End, at: Points, blur: float) -> Float:
+    """Of the angles between normals and the ways to a centre; small where the place is near it."""
     way = end.points - at
-    sines = np.linalg.norm(np.cross(end.normals, way), axis=1) / np.sqrt((way**2).sum(axis=1) + blur**2)
-    roots: Float = np.sqrt(end.areas / end.areas.sum()) * sines / np.sqrt(sines**2 + SLOPE**2)
-    return roots
+    sines: Float = np.linalg.norm(np.cross(end.normals, way), axis=1) / np.sqrt((way**2).sum(axis=1) + blur**2)
+    return sines
+
+
+def _centre_roots(end: _End, at: Points, blur: float) -> Float:
+    return _roots(end, _centre_sines(end, at, blur))
 
 
 def _refined_centre(ends: Sequence[_End], start: Points, region: _Region) -> tuple[Points, float]:
@@ -492,8 +500,7 @@ def _side(of: str, end: _End, drawn: _End, joint: _Line | Points, turned: float,
         sines = np.abs(_sines(drawn, joint.at, joint.along, 1e-9))
     else:
         radii = np.linalg.norm(facing - joint, axis=1)
-        way = drawn.points - joint
-        sines = np.linalg.norm(np.cross(drawn.normals, way), axis=1) / np.linalg.norm(way, axis=1)
+        sines = _centre_sines(drawn, joint, 1e-9)
     areas = end.areas[end.facing]
     slope = float(np.degrees(np.arcsin(min(1.0, float(np.median(sines))))))
     return Side(of, float(areas.sum()), weighted_quantile(radii, areas, 0.5), slope, turned, apart)

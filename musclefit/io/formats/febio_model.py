@@ -10,7 +10,6 @@ numbers that FEBio's manual gives for it, in MPa, at rest (no activation).
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from musclefit.errors import InputError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.tets.topology import tet_faces
+from musclefit.io.atomic import write_bytes_atomically
 from musclefit.io.formats.solvers import LabelledTets
 
 STEPS = 20
@@ -124,13 +124,8 @@ def write_febio_model(path: Path, model: FebioModel) -> None:
         raise InputError(f"{path}: a FEBio model ends in .feb")
     if path.is_dir() or not path.parent.is_dir():
         raise InputError(f"{path}: is a folder, or in one that is not there; name a file in a folder that exists")
-    partial = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}")
-    try:
-        with partial.open("w", encoding="iso-8859-1", errors="xmlcharrefreplace", newline="\n") as file:
-            file.writelines(f"{line}\n" for line in _lines(model))
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    text = "".join(f"{line}\n" for line in _lines(model))
+    write_bytes_atomically(path, text.encode("iso-8859-1", "xmlcharrefreplace"))
 
 
 def _lines(model: FebioModel) -> Iterator[str]:

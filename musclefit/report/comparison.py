@@ -26,7 +26,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One quantity; ``group`` is what it tells about (Folds, Overlaps, Bends, Shrinks, Arrives)."""
+    """One quantity; ``group`` is what it tells about (Folding, Overlap, Bones, Muscles, Landmarks)."""
 
     group: str
     name: str
@@ -78,20 +78,20 @@ _NO_ROOM = 1e-200
 """Stands for a limit of zero, so that the shares of it still tell more from less."""
 
 _ROWS = (
-    ("Folds", "folded points", "points"),
-    ("Folds", "smallest det J at a point", ""),
-    ("Folds", "inverted tets", "tets"),
-    ("Folds", "smallest tet volume ratio", ""),
-    ("Overlaps", "introduced overlap", "mm³"),
-    ("Overlaps", "grown overlap", "mm³"),
-    ("Overlaps", "pairs with either", "pairs"),
-    ("Overlaps", "introduced outside skin", "mm³"),
-    ("Bends", "bone off rigid", "mm"),
-    ("Bends", "free bone off rigid", "mm"),
-    ("Shrinks", "muscle volume change", "%"),
-    ("Shrinks", "muscle volume change, median", "%"),
-    ("Arrives", "landmark error", "mm"),
-    ("Arrives", "steps", ""),
+    ("Folding", "folded points", "points"),
+    ("Folding", "smallest det J at a point", ""),
+    ("Folding", "inverted tets", "tets"),
+    ("Folding", "smallest tet volume ratio", ""),
+    ("Overlap", "introduced overlap", "mm³"),
+    ("Overlap", "grown overlap", "mm³"),
+    ("Overlap", "pairs that overlap more than at rest", "pairs"),
+    ("Overlap", "introduced outside skin", "mm³"),
+    ("Bones", "bone off rigid", "mm"),
+    ("Bones", "free bone off rigid", "mm"),
+    ("Muscles", "muscle volume change", "%"),
+    ("Muscles", "muscle volume change, median", "%"),
+    ("Landmarks", "landmark error", "mm"),
+    ("Landmarks", "steps", ""),
 )
 
 
@@ -109,7 +109,7 @@ def _cells(side: Side, limits: Limits) -> dict[str, tuple[Cell, float | None]]:
     free = {
         "smallest det J at a point": side.map.min_jacobian_determinant,
         "smallest tet volume ratio": None if side.mesh is None else side.mesh.min_volume_ratio,
-        "pairs with either": float(len(introduced)),
+        "pairs that overlap more than at rest": float(len(introduced)),
         "muscle volume change, median": None if not changes else _median(changes),
         "steps": float(side.steps),
     }

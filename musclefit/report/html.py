@@ -29,6 +29,9 @@ from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOve
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
+_KINDS = {"fold": "folded places", "inverted tet": "inverted tetrahedra"}
+"""What a page calls kinds of places."""
+
 _THIN = "\N{NARROW NO-BREAK SPACE}"
 _SPACE = "\N{NO-BREAK SPACE}"
 _MISSING = "not measured"
@@ -128,11 +131,42 @@ def amount(value: float | None, unit: str) -> str:
 
 
 def seconds(value: float) -> str:
-    """A duration for reading: seconds below two minutes, then minutes and seconds."""
-    if not math.isfinite(value) or value < 120:
+    """A duration for reading: seconds, to hundredths below ten, then minutes and seconds from two minutes on."""
+    if not math.isfinite(value):
         return amount(value, "s")
+    if 0 < value < 0.005:
+        return f"< 0.01{_SPACE}s"
+    if value < 120:
+        return amount(round(value, 2 if value < 10 else 1), "s")
     whole = round(value)
     return f"{whole // 60}{_SPACE}min {whole % 60:02d}{_SPACE}s"
+
+
+def in_a_line(value: Any) -> str | None:
+    """A setting in a line: a value, or values of a list; None for what is not so short.
+
+    >>> in_a_line([["elbow", 75.0], ["forearm", 70.0]]), in_a_line(True), in_a_line([])
+    ('elbow 75, forearm 70', 'yes', None)
+    """
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value or None
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, Sequence) and value:
+        parts = [
+            " ".join(in_a_line(part) or "none" for part in item) if _is_short_list(item) else in_a_line(item)
+            for item in value
+        ]
+        return None if None in parts else ", ".join(map(str, parts))
+    return None
+
+
+def _is_short_list(item: Any) -> bool:
+    return isinstance(item, list | tuple) and all(isinstance(part, str | int | float) for part in item)
 
 
 def breakable(name: str) -> Markup:
@@ -151,7 +185,8 @@ def scene_parts(scene: Scene | None) -> SceneParts | None:
         return None
     text, data = packed(scene)
     marks = tuple(
-        PlaceRow(f"{s} {m}", mark.kind, mark.tissues, scene.shapes[s].title, mark.title) for s, m, mark in scene.marks
+        PlaceRow(f"{s} {m}", _KINDS.get(mark.kind, mark.kind), mark.tissues, scene.shapes[s].title, mark.title)
+        for s, m, mark in sorted(scene.marks, key=lambda found: found[0] == 0)  # what is so at rest comes last
     )
     frames = any(shape.time_s is not None for shape in scene.shapes)
     return SceneParts(
@@ -206,6 +241,7 @@ class _StoryNumber:
     limit: float
     limited: bool
     passed: bool
+    place: str
     others: tuple[tuple[str, float | None], ...]
 
 
@@ -225,6 +261,8 @@ class _PairRow:
     result: PairOverlap | None
     paper_loop: PairOverlap | None
     baseline: PairOverlap | None
+    off: bool
+    """Whether it has a share in a broken limit."""
 
     @property
     def rest_mm3(self) -> float:
@@ -241,7 +279,13 @@ def _render(template: str, page: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "amount": amount, "seconds": seconds, "breakable": breakable}
+    environment.filters |= {
+        "number": number,
+        "amount": amount,
+        "seconds": seconds,
+        "breakable": breakable,
+        "in_a_line": in_a_line,
+    }
     return with_contents(environment.get_template(template).render({"tables_script": _script("tables.js"), **page}))
 
 
@@ -339,6 +383,7 @@ def _story(report: Report) -> list[_StoryNumber]:
             check.limit,
             check.limited,
             check.passed,
+            check.place if check.value else "",
             tuple((name, values[check.name]) for name, values in others.items() if check.name in values),
         )
         for check in first
@@ -422,7 +467,16 @@ def _pair_rows(report: Report) -> list[_PairRow]:
         for side in (report.result, report.paper_loop, report.baseline)
     )
     pairs = {**result, **loop, **baseline}
-    rows = [_PairRow(a, b, result.get((a, b)), loop.get((a, b)), baseline.get((a, b))) for a, b in pairs]
+    broken = {check.name for check in report.checks if not check.passed}
+
+    def off(pair: PairOverlap | None) -> bool:
+        limited_by = "introduced overlap" if pair is not None and pair.rest_mm3 <= ROUNDING_MM3 else "grown overlap"
+        return pair is not None and limited_by in broken and not pair.introduced_mm3 <= 0
+
+    rows = [
+        _PairRow(a, b, result.get((a, b)), loop.get((a, b)), baseline.get((a, b)), off(result.get((a, b))))
+        for a, b in pairs
+    ]
 
     def rank(row: _PairRow) -> tuple[bool, *tuple[tuple[float, float], ...]]:
         apart = row.result is not None and row.result.rest_mm3 <= ROUNDING_MM3

@@ -34,7 +34,7 @@ _VERSION_OF = {
 """The library whose version a reference is cited with."""
 
 LEAST_MM = 1e-9
-"""Below that, an error of a landmark is rounding."""
+"""Below that, how far a landmark is off, or a bone, is rounding."""
 
 _TOLD = {
     "landmark error": "every landmark arrived within {}",
@@ -266,9 +266,7 @@ def _mesh(report: Report, references: _References) -> str:
 def _checks(report: Report, references: _References) -> str:
     by_name = {check.name: check for check in report.checks}
     told = [
-        words.format(
-            f"{max(check.value, LEAST_MM) if name == 'landmark error' else check.value:.3g} {check.unit}".strip()
-        )
+        words.format(f"{max(check.value, LEAST_MM) if check.unit == 'mm' else check.value:.3g} {check.unit}".strip())
         for name, words in _TOLD.items()
         if (check := by_name.get(name)) is not None and not math.isnan(check.value)
     ]
@@ -308,11 +306,11 @@ def _command(settings: Mapping[str, Any], hashes: Mapping[str, Any]) -> str:
 
 
 def _remarks(report: Report, settings: Mapping[str, Any]) -> tuple[str, ...]:
-    remarks = ["the same numbers are to be expected of the same versions on the same kind of processor"]
+    remarks = ["The same numbers are to be expected of the same versions on the same kind of processor"]
     if not settings.get("anatomy", {}).get("builtin"):
-        remarks.append("rig and anatomy must be the files of the hashes below, where the rig looks for them")
+        remarks.append("Rig and anatomy must be the files of the hashes below, where the rig looks for them")
     if report.result.mesh is not None:
-        remarks.append("fTetWild makes another mesh each time it is called, unless the mesh is in the cache")
+        remarks.append("Another call of fTetWild makes another mesh, unless the mesh is in the cache")
     return tuple(remarks)
 
 

@@ -2,7 +2,7 @@
 
 Positions are multiples of one quantum, 1/65535 of the largest extent of all shapes. They are stored as differences
 from what is already known (the same vertices in the first shape or the frames before, then the vertex before), as byte
-planes, and compressed by gzip, which browsers unpack themselves.
+planes, and compressed by gzip, which browsers unpack themselves. Triangles are coded by `triangle_coding`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from musclefit.geometry.arrays import Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
+from musclefit.report.triangle_coding import CodedFaces, coded
 
 FIELD_STEPS = 254
 """Steps of a coloured value over its range; 255 stands for what is not a number."""
@@ -118,25 +119,26 @@ def packed(scene: Scene) -> tuple[str, str]:
     tuple of str
         What the arrays are, and the arrays themselves, compressed.
     """
-    low = np.stack([shape_box(shape)[0] for shape in scene.shapes]).min(axis=0)
+    low, high = scene_box(scene)
     quantum = quantum_mm(scene)
     arrays = _Arrays()
     said: dict[str, Any] = {
         "tissues": [{"name": t.name, "kind": t.kind, "colour": t.colour} for t in scene.tissues],
         "origin": low.tolist(),
+        "size": (high - low).tolist(),
         "quantum": quantum,
         "up": np.asarray(scene.up).tolist(),
         "towards": np.asarray(scene.towards).tolist(),
         "topologies": [],
         "shapes": [],
     }
-    known: list[tuple[Int, ...]] = []  # the faces of each topology, by tissue
+    numbers, topologies = _topologies(scene)
+    codes: list[CodedFaces] = []
+    for shape in topologies:
+        codes.append(coded(tuple(surface.faces for surface in shape.surfaces), codes))
+        said["topologies"].append(_packed_topology(shape, codes[-1], arrays))
     whole: list[np.ndarray[Any, np.dtype[np.uint16]]] = []
-    for shape in scene.shapes:
-        number = _topology(shape, known)
-        if number == len(known):
-            known.append(tuple(surface.faces for surface in shape.surfaces))
-            said["topologies"].append(_packed_topology(shape, arrays))
+    for shape, number in zip(scene.shapes, numbers, strict=True):
         positions = np.rint((_joined(shape) - low) / quantum).astype(np.int64).astype(np.uint16)
         guess = _guess(scene, positions, whole, said["shapes"], number)
         whole.append(positions)
@@ -157,14 +159,19 @@ def packed(scene: Scene) -> tuple[str, str]:
 
 def quantum_mm(scene: Scene) -> float:
     """To which multiple of mm positions are rounded."""
-    box = np.stack([shape_box(shape) for shape in scene.shapes])
-    return max(float((box[:, 1].max(axis=0) - box[:, 0].min(axis=0)).max()), 1e-6) / _STEPS
+    low, high = scene_box(scene)
+    return max(float((high - low).max()), 1e-6) / _STEPS
 
 
-def shape_box(shape: SceneShape) -> Float:
-    """Lowest and highest corner (2, 3) of a shape, mm."""
-    points = _joined(shape)
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+def scene_box(scene: Scene) -> Float:
+    """Lowest and highest corner (2, 3) of all shapes, mm."""
+    ends = [
+        (surface.vertices.min(axis=0), surface.vertices.max(axis=0))
+        for shape in scene.shapes
+        for surface in shape.surfaces
+        if len(surface.vertices)
+    ]
+    return np.stack([np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)])
 
 
 class _Arrays:
@@ -177,10 +184,17 @@ class _Arrays:
     def joined(self) -> bytes:
         return b"".join(self._parts)
 
-    def add_words(self, values: Int) -> list[int]:
-        """Signed whole numbers, column by column, as differences along the rows in byte planes; where they stand."""
+    def add_words(self, values: Int, *, running: bool = True) -> list[int]:
+        """Signed whole numbers, column by column, in byte planes; where they stand.
+
+        Parameters
+        ----------
+        values : (rows,) or (rows, columns) int
+        running : bool
+            As differences along the rows.
+        """
         columns = np.atleast_2d(np.asarray(values, dtype=np.int64).T)
-        steps = np.diff(columns, axis=1, prepend=0).ravel()
+        steps = (np.diff(columns, axis=1, prepend=0) if running else columns).ravel()
         folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype(np.uint64)
         planes = max(1, (int(folded.max(initial=0)).bit_length() + 7) // 8)
         data = b"".join(
@@ -200,25 +214,37 @@ class _Arrays:
         return at
 
 
-def _topology(shape: SceneShape, known: list[tuple[Int, ...]]) -> int:
-    """Which of the known sets of triangles a shape has; one more where none."""
-    for number, faces in enumerate(known):
-        if all(
-            of is mine.faces or (of.shape == mine.faces.shape and np.array_equal(of, mine.faces))
-            for of, mine in zip(faces, shape.surfaces, strict=True)
-        ):
-            return number
-    return len(known)
+def _topologies(scene: Scene) -> tuple[list[int], list[SceneShape]]:
+    """For each shape the number of its triangles, and a shape that has them by that number, the coarsest first."""
+    first: list[SceneShape] = []
+    own = []
+    for shape in scene.shapes:
+        number = next((k for k, other in enumerate(first) if _same_triangles(shape, other)), len(first))
+        own.append(number)
+        if number == len(first):
+            first.append(shape)
+    order = sorted(range(len(first)), key=lambda k: sum(len(surface.faces) for surface in first[k].surfaces))
+    return [order.index(number) for number in own], [first[k] for k in order]
 
 
-def _packed_topology(shape: SceneShape, arrays: _Arrays) -> dict[str, Any]:
-    """Numbers of vertices and triangles of each tissue, and the triangles by their first corner and steps from it."""
-    faces = np.concatenate([surface.faces for surface in shape.surfaces])
-    steps = np.stack([faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]], axis=1)
+def _same_triangles(one: SceneShape, other: SceneShape) -> bool:
+    return all(
+        a.faces is b.faces
+        or (len(a.vertices) == len(b.vertices) and a.faces.shape == b.faces.shape and np.array_equal(a.faces, b.faces))
+        for a, b in zip(one.surfaces, other.surfaces, strict=True)
+    )
+
+
+def _packed_topology(shape: SceneShape, code: CodedFaces, arrays: _Arrays) -> dict[str, Any]:
+    """Numbers of vertices and triangles of each tissue, and the triangles as they were coded."""
     return {
         "vertices": [len(surface.vertices) for surface in shape.surfaces],
-        "triangles": [len(surface.faces) for surface in shape.surfaces],
-        "faces": arrays.add_words(steps),
+        "triangles": list(code.triangles),
+        "base": code.base,
+        "kept": list(code.kept),
+        "runs": arrays.add_words(code.runs, running=False),
+        "first": arrays.add_words(code.first),
+        "others": arrays.add_words(code.others, running=False),
     }
 
 

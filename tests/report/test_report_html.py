@@ -154,6 +154,35 @@ def test_pairs_apart_at_rest_are_listed_first_then_the_largest_of_both_sides(mak
     ]
 
 
+def test_a_pair_is_marked_only_where_a_limit_is_broken(make_report, make_side):
+    def marked(*pairs):
+        page = render_html(make_report(result=make_side(overlaps=OverlapCheck(pairs, 9, ()))), pictures={})
+        section = page[page.index("<h2>Overlapping pairs") : page.index("<h2>Tissues")]
+        return re.findall(r'<td class="n bad">([^<]*)</td>', section)
+
+    assert marked(PairOverlap("a", "b", 0, 0.4, 0.4), PairOverlap("c", "d", 0, 0.5, 0.5)) == []
+    together = (PairOverlap("a", "b", 0, 0.6, 0.6), PairOverlap("c", "d", 0, 0.5, 0.5))  # 1 mm³ is allowed in all
+    assert marked(*together, PairOverlap("g", "h", 10, 10, 0.0)) == ["0.6", "0.5"]
+
+
+def test_chosen_settings_stand_apart_from_findings(make_report):
+    chosen = Finding("bones.lattice", "chosen-setting", "bones.lattice: 3 mm, because bones are thin")
+    text = _Reader(render_html(make_report(findings=(chosen,)), pictures={})).text
+    assert "Nothing was found amiss in the input." in text
+    assert "bones.lattice3 mm, because bones are thin" in text
+    both = render_html(make_report(findings=(chosen, Finding("skin", "cut", "skin: 4 squares cut"))), pictures={})
+    assert "skincut4 squares cut" in _Reader(both).text
+    assert both.index("4 squares cut") < both.index("chosen from the anatomy") < both.index("because bones are thin")
+
+
+def test_settings_are_told_in_lines(make_report):
+    settings = {"pose": [["elbow", 75.0], ["forearm", 70.0]], "tets": True, "stops": [], "kinds": {}, "scale": None}
+    report = make_report(provenance={"versions": {"python": "3.11"}, "settings": settings})
+    text = _Reader(render_html(report, pictures={})).text
+    for told in ("pose elbow 75, forearm 70", "tets yes", "stops none", "kinds none", "scale none"):
+        assert told.replace(" ", "", 1) in text
+
+
 def test_columns_are_result_then_the_papers_loop_then_one_shot(make_report, make_side, make_tissue):
     """On a narrow screen what comes first is seen without scrolling: the result."""
 
@@ -193,7 +222,7 @@ def test_inspection_lists_tissues_overlaps_and_findings():
     overlaps = OverlapCheck((PairOverlap("skin", "b", 2.0, 2.0, 0.0),), 1, ())
     report = MeshReport("arm", "mm", tissues, (Finding("b", "cut", "b: 4 squares cut"),), overlaps)
     text = _Reader(render_inspection(report)).text
-    for told in ("2 of 3 checks are beyond", "1 of 1 tested", "b: 4 squares cut", "outside skin: 3"):
+    for told in ("2 of 3 checks are beyond", "1 of 1 tested", "bcut4 squares cut", "outside skin: 3"):
         assert told in text
 
 
@@ -221,5 +250,7 @@ def test_numbers_are_readable(value, text):
 
 def test_durations_are_readable():
     assert seconds(1.25) == "1.25\u00a0s"
+    assert seconds(0.0001) == "< 0.01\u00a0s"
+    assert seconds(32.3167) == "32.3\u00a0s"
     assert seconds(119.99999) == "120\u00a0s"
     assert seconds(605.4) == "10\u00a0min 05\u00a0s"

@@ -28,12 +28,41 @@ def scene(*shapes, names=tuple(TISSUES)):
     return Scene(tissues(names), shapes, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
 
 
-def words(data, where):
-    """Planes of bytes, least significant first; even is positive; then running sums down the columns."""
+def words(data, where, *, running=True):
+    """Planes of bytes, least significant first; even is positive; then running sums down the columns, or none."""
     at, rows, columns, planes = where
     planes = np.frombuffer(data, np.uint8, rows * columns * planes, at).reshape(planes, columns, rows).astype(np.int64)
     folded = sum(plane << (8 * k) for k, plane in enumerate(planes))
-    return np.cumsum(np.where(folded % 2, -(folded + 1) // 2, folded // 2), axis=1).T
+    steps = np.where(folded % 2, -(folded + 1) // 2, folded // 2)
+    return (np.cumsum(steps, axis=1) if running else steps).T
+
+
+def triangles(data, topologies, number):
+    """The triangles of each tissue: those kept of the base, then its own, a corner by the last of the one before."""
+    topology, out = topologies[number], []
+    first = words(data, topology["first"]).ravel()
+    others, runs = (words(data, topology[key], running=False) for key in ("others", "runs"))
+    keep = np.repeat(np.arange(len(runs)) % 2 == 0, runs.ravel())
+    corners, before = [], None
+    for a, (b, c) in zip(first.tolist(), others.tolist(), strict=True):
+        corners.append((a, b + (before[2] if before and before[0] == a else a), c + a))
+        before = corners[-1]
+    base = [] if topology["base"] is None else triangles(data, topologies, topology["base"])
+    for t, count in enumerate(topology["triangles"]):
+        kept = [f for f, stays in zip(base[t], keep, strict=False) if stays] if base else []
+        keep = keep[len(base[t]) :] if base else keep
+        assert len(kept) == topology["kept"][t]
+        own = count - len(kept)
+        out.append([tuple(map(int, f)) for f in [*kept, *corners[:own]]])
+        corners = corners[own:]
+    assert not corners
+    return out
+
+
+def as_a_set(faces):
+    """Triangles whatever their order and their first corner, counted."""
+    turns = (tuple(f[k:] + f[:k]) for f in map(tuple, np.asarray(faces).tolist()) for k in [f.index(min(f))])
+    return sorted(turns)
 
 
 def unpacked(text, data):
@@ -50,12 +79,11 @@ def unpacked(text, data):
         elif how == "line":
             guess = 2 * whole[of[1]] - whole[of[0]]
         else:
-            ends = np.cumsum(said["topologies"][0]["vertices"])
+            ends = np.cumsum(said["topologies"][said["shapes"][0]["topology"]]["vertices"])
             parts = zip(np.split(whole[0], ends[:-1]), topology["vertices"], strict=True)
             guess = np.concatenate([part[:count] for part, count in parts])
         whole.append((guess + words(data, shape["positions"])) % 65536)
-        faces = words(data, topology["faces"]).copy()
-        faces[:, 1:] += faces[:, :1]
+        faces = triangles(data, said["topologies"], shape["topology"])
         out.append((np.array(said["origin"]) + said["quantum"] * whole[-1], faces))
     return out
 
@@ -79,7 +107,8 @@ def test_what_is_unpacked_is_what_was_packed():
     for shape, (positions, faces) in zip(shapes, found, strict=True):
         given = np.concatenate([s.vertices for s in shape.surfaces])
         assert np.abs(positions - given).max() <= 0.5001 * quantum
-        assert np.array_equal(faces, np.concatenate([s.faces for s in shape.surfaces]))
+        for own, surface in zip(faces, shape.surfaces, strict=True):
+            assert as_a_set(own) == as_a_set(surface.faces)
 
 
 def test_values_keep_their_range_and_what_is_no_number():
@@ -105,7 +134,47 @@ def test_empty_and_single_tissues_are_packed():
         *packed(scene(SceneShape("Rest", (egg((0, 0, 0), (1, 1, 1)), nothing)), names="ab"))
     )
     assert positions.shape[1] == 3
-    assert faces.max() == len(positions) - 1
+    assert faces[1] == []
+    assert max(map(max, faces[0])) == len(positions) - 1
+
+
+def split(surface, every):
+    """Every so many triangles cut in three at their middle; the given vertices stay the first."""
+    cut = surface.faces[::every]
+    middle = surface.vertices[cut].mean(axis=1)
+    new = len(surface.vertices) + np.arange(len(cut))
+    parts = [np.stack([cut[:, k], cut[:, (k + 1) % 3], new], axis=1) for k in range(3)]
+    left = np.delete(surface.faces, np.s_[::every], axis=0)
+    return TriMesh(np.concatenate([surface.vertices, middle]), np.concatenate([*parts, left]))
+
+
+def test_refined_surfaces_tell_what_they_share_with_the_given_ones():
+    given = tuple(TISSUES.values())
+    fine, finer = tuple(split(s, 7) for s in given), tuple(split(s, 5) for s in given)
+    shapes = [SceneShape("Rest", fine), SceneShape("Loop", given), SceneShape("One shot", finer)]
+    text, data = packed(scene(*shapes))
+    for shape, (positions, faces) in zip(shapes, unpacked(text, data), strict=True):
+        assert len(positions) == sum(len(s.vertices) for s in shape.surfaces)
+        for own, surface in zip(faces, shape.surfaces, strict=True):
+            assert as_a_set(own) == as_a_set(surface.faces)
+    told = json.loads(text)
+    assert [t["base"] for t in told["topologies"]] == [None, 0, 0]
+    assert [s["topology"] for s in told["shapes"]] == [1, 0, 2]
+    for topology, every in zip(told["topologies"][1:], (7, 5), strict=True):
+        cut = [len(s.faces[::every]) for s in given]
+        assert topology["kept"] == [len(s.faces) - n for s, n in zip(given, cut, strict=True)]
+        assert topology["first"][1] == 3 * sum(cut)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_triangles_come_back(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(9, 3))
+    one, other = rng.integers(0, 9, (40, 3)), rng.integers(0, 9, (30, 3))
+    both = np.concatenate([one[:35], other, one[:2]])  # some twice, many without a common edge
+    shapes = [SceneShape(str(k), (TriMesh(points, faces),)) for k, faces in enumerate((one, both, other))]
+    for shape, (_, faces) in zip(shapes, unpacked(*packed(scene(*shapes, names="a"))), strict=True):
+        assert as_a_set(faces[0]) == as_a_set(shape.surfaces[0].faces)
 
 
 def test_a_motion_of_sixty_frames_is_small():

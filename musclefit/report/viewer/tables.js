@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
-  const SHOWN = 25;
+  const SHOWN = 25, FILTERED_FROM = 11;
 
   // The number that a cell shows, or its text where it shows none.
   function valueOf(cell) {
@@ -54,7 +54,7 @@
 
     field.addEventListener("input", () => { state.sought = field.value.trim().toLowerCase(); show(); });
     more.addEventListener("click", () => { state.all = !state.all; show(); });
-    if (rows.length > 5) {
+    if (rows.length >= FILTERED_FROM) {
       tools.append(field, said, more);
       (table.closest(".scroll") || table).before(tools);
       show();

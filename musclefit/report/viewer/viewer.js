@@ -19,8 +19,8 @@
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
-  // Signed whole numbers, row by row, from differences down the columns in byte planes.
-  function words(bytes, [at, rows, columns, planes]) {
+  // Signed whole numbers, row by row, from byte planes of the columns: themselves, or differences down the columns.
+  function words(bytes, [at, rows, columns, planes], running = true) {
     const count = rows * columns;
     const out = new Int32Array(count);
     for (let c = 0; c < columns; c++) {
@@ -28,7 +28,8 @@
       for (let r = 0; r < rows; r++) {
         let folded = 0;
         for (let p = planes - 1; p >= 0; p--) folded = folded * 256 + bytes[at + p * count + c * rows + r];
-        value += folded % 2 ? -(folded + 1) / 2 : folded / 2;
+        const step = folded % 2 ? -(folded + 1) / 2 : folded / 2;
+        value = running ? value + step : step;
         out[r * columns + c] = value;
       }
     }
@@ -90,18 +91,33 @@
   renderer.localClippingEnabled = true;
   renderer.autoClear = false;
 
-  const topologies = scene.topologies.map((topology) => {
-    const steps = words(bytes, topology.faces);
-    for (let f = 0; f < steps.length; f += 3) { steps[f + 1] += steps[f]; steps[f + 2] += steps[f]; }
+  // The triangles of each tissue: those that it shares with others read before, then its own (triangle_coding.py).
+  const topologies = [];
+  for (const topology of scene.topologies) {
+    const runs = words(bytes, topology.runs, false), first = words(bytes, topology.first), others = words(bytes, topology.others, false);
     const parts = [];
-    let v = 0, f = 0;
+    let v = 0, own = 0, before = -1, last = 0, run = 0, left = runs.length ? runs[0] : 0;
     scene.tissues.forEach((_, t) => {
-      parts.push({ v0: v, v1: v + topology.vertices[t], index: new Uint32Array(steps.subarray(3 * f, 3 * (f + topology.triangles[t]))) });
+      const index = new Uint32Array(3 * topology.triangles[t]);
+      let at = 0;
+      if (topology.base !== null) {
+        const theirs = topologies[topology.base][t].index;
+        for (let f = 0; f < theirs.length; f += 3) {
+          while (!left) left = runs[++run];
+          left--;
+          if (run % 2 === 0) { index.set(theirs.subarray(f, f + 3), at); at += 3; }
+        }
+      }
+      for (; at < index.length; at += 3, own++) {
+        const a = first[own], b = others[2 * own] + (a === before ? last : a), c = others[2 * own + 1] + a;
+        index[at] = a; index[at + 1] = b; index[at + 2] = c;
+        before = a; last = c;
+      }
+      parts.push({ v0: v, v1: v + topology.vertices[t], index });
       v += topology.vertices[t];
-      f += topology.triangles[t];
     });
-    return parts;
-  });
+    topologies.push(parts);
+  }
   const millimetres = (q, k) => scene.origin[k % 3] + scene.quantum * q;
 
   // ---- what is shown ----------------------------------------------------------------------------------------------
@@ -118,11 +134,7 @@
   const controls = new THREE_D.OrbitControls(camera, $("view"));
   controls.enableDamping = false;
   const plane = new THREE_D.Plane(new THREE_D.Vector3(1, 0, 0), 0);
-  const all = new THREE_D.Box3();
-  whole.forEach((positions) => {
-    for (let i = 0; i < positions.length; i += 3)
-      all.expandByPoint(new THREE_D.Vector3(millimetres(positions[i], 0), millimetres(positions[i + 1], 1), millimetres(positions[i + 2], 2)));
-  });
+  const all = new THREE_D.Box3(new THREE_D.Vector3(...scene.origin), new THREE_D.Vector3(...scene.origin.map((x, k) => x + scene.size[k])));
   const ball = all.getBoundingSphere(new THREE_D.Sphere());
   const sides = [];
 

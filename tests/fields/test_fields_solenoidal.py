@@ -10,7 +10,7 @@ from oracles import difference_jacobian
 
 from musclefit.errors import FieldError
 from musclefit.fields.corrected import CorrectedField
-from musclefit.fields.evaluation import potentials
+from musclefit.fields.evaluation import potential_runs, potentials
 from musclefit.fields.fitting.solenoidal import SolenoidalBackend
 from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
@@ -191,20 +191,25 @@ def test_runs_of_coefficients_give_what_single_ones_give() -> None:
     level = PotentialLevel.around(rng.uniform(-12.0, 12.0, (60, 3)), spacing_mm=4.0)
     points = rng.uniform(-26.0, 26.0, (3000, 3))
     rows = np.zeros((len(points), 16), np.int32)
-    potentials.runs_seen(level.low, level.spacing_mm, level.numbers, points, rows)
-    whole = rows[:, 0] >= 0
-    assert 50 < whole.sum() < 2000
-    coefficients = rng.normal(size=level.coefficients.shape)
-    expected, found = np.zeros((len(points), 3)), np.zeros((int(whole.sum()), 3))
-    potentials.curl_sum(level.low, level.spacing_mm, level.numbers, coefficients, points, expected)
-    components = np.ascontiguousarray(coefficients.T)
-    potentials.curl_sum_of_runs(level.low, level.spacing_mm, rows[whole], *components, points[whole], found)
-    np.testing.assert_allclose(found, expected[whole], rtol=0, atol=1e-14 * np.abs(expected).max() * 64)
-    values, spread, to_runs = rng.normal(size=found.shape), np.zeros_like(coefficients), np.zeros_like(components)
-    potentials.curl_spread(level.low, level.spacing_mm, level.numbers, points[whole], values, spread)
-    potentials.curl_spread_to_runs(level.low, level.spacing_mm, rows[whole], points[whole], values, *to_runs)
-    np.testing.assert_allclose(to_runs.T, spread, rtol=0, atol=1e-13 * np.abs(spread).max())
-    assert np.vdot(found, values) == pytest.approx(np.vdot(components, to_runs), rel=1e-10)
+    potential_runs.runs_seen(level.low, level.spacing_mm, level.numbers, points, rows)
+    which = np.flatnonzero(rows[:, 0] >= 0)
+    assert 50 < len(which) < 2000
+    coefficients = np.zeros((len(level.coefficients), 4))
+    coefficients[:, :3] = rng.normal(size=level.coefficients.shape)
+    expected, found = np.zeros((2, len(points), 3))
+    lattice = (level.low, level.spacing_mm)
+    potentials.curl_sum(*lattice, level.numbers, coefficients, points, expected)
+    unseen = rows[:, 0] == potential_runs.NOT_AT_ALL
+    np.testing.assert_array_equal(unseen, (expected == 0.0).all(axis=1))
+    potential_runs.curl_sum_of_runs(*lattice, rows[which], which, points, coefficients, found)
+    np.testing.assert_allclose(found[which], expected[which], rtol=0, atol=1e-14 * np.abs(expected).max() * 64)
+    assert np.count_nonzero(found.any(axis=1)) == len(which)
+    values, spread, by_runs = np.zeros_like(points), np.zeros_like(coefficients), np.zeros_like(coefficients)
+    values[which] = rng.normal(size=(len(which), 3))
+    potentials.curl_spread(*lattice, level.numbers, points[which], values[which], spread)
+    potential_runs.curl_spread_to_runs(*lattice, rows[which], which, points, values, by_runs)
+    np.testing.assert_allclose(by_runs, spread, rtol=0, atol=1e-13 * np.abs(spread).max())
+    assert np.vdot(found, values) == pytest.approx(np.vdot(coefficients, by_runs), rel=1e-10)
 
 
 def test_a_fit_is_the_same_wherever_its_points_stand_in_the_lattice() -> None:

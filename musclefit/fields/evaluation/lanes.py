@@ -86,10 +86,13 @@ _arithmetic(operator.mul, "fmul")
 _arithmetic(operator.truediv, "fdiv")
 
 
-def _place(context, builder, kind, array, row):
+def _from(context, builder, kind, array, first):
     data = context.make_array(kind)(context, builder, array).data
-    start = builder.mul(row, row.type(WIDTH))
-    return builder.bitcast(builder.gep(data, [start]), _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(data, [first]), _VECTOR.as_pointer())
+
+
+def _place(context, builder, kind, array, row):
+    return _from(context, builder, kind, array, builder.mul(row, row.type(WIDTH)))
 
 
 @intrinsic
@@ -110,6 +113,30 @@ def store(_context, array, row, value):  # noqa: ARG001
 
     def generate(context, builder, signature, arguments):
         written = builder.store(arguments[2], _place(context, builder, signature.args[0], *arguments[:2]))
+        written.align = 8
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, LANES), generate
+
+
+@intrinsic
+def load_from(_context, array, first):  # noqa: ARG001
+    """WIDTH numbers of an array in memory order, from a number on."""
+
+    def generate(context, builder, signature, arguments):
+        found = builder.load(_from(context, builder, signature.args[0], *arguments))
+        found.align = 8
+        return found
+
+    return LANES(array, types.intp), generate
+
+
+@intrinsic
+def store_from(_context, array, first, value):  # noqa: ARG001
+    """Write WIDTH numbers of an array in memory order, from a number on."""
+
+    def generate(context, builder, signature, arguments):
+        written = builder.store(arguments[2], _from(context, builder, signature.args[0], *arguments[:2]))
         written.align = 8
         return context.get_dummy_value()
 

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
-from musclefit.fields.evaluation import potentials
+from musclefit.fields.evaluation import potential_runs, potentials
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
 from musclefit.geometry.arrays import Float, Int, Points
 
@@ -90,21 +91,20 @@ class SolenoidalBackend:
             At most so many: what is missed shows in the displacements.
         """
         problem = _Problem.of(at, slip_normals, on, smoothness=self.smoothness)
-        found = [np.zeros((3, len(level.coefficients))) for level in on]
         residual = problem.seen(displacements)
         slope = problem.backward(residual)
-        direction, size = slope, _square(slope)
+        found, direction = np.zeros_like(slope), problem.weights[:, None] * slope
+        size = potential_runs.weighted_square(problem.weights, slope)
         least, missed = ROUNDING * size, [float(np.linalg.norm(residual))]
         while len(missed) <= iterations and not self._is_done(missed, count=len(at)) and size > least:
             image = problem.forward(direction)
             length = size / float(np.vdot(image, image))
-            for part, along in zip(found, direction, strict=True):
-                part += length * along
-            residual = residual - length * image
+            potential_runs.advance(found, direction, length)
+            potential_runs.advance(residual, image, -length)
             missed.append(float(np.linalg.norm(residual)))
             slope = problem.backward(residual)
-            before, size = size, _square(slope)
-            direction = [s + (size / before) * d for s, d in zip(slope, direction, strict=True)]
+            before, size = size, potential_runs.weighted_square(problem.weights, slope)
+            potential_runs.turn(direction, problem.weights, slope, size / before)
         return problem.field(found)
 
     def _is_done(self, missed: list[float], *, count: int) -> bool:
@@ -120,94 +120,119 @@ class _Seen:
     Parameters
     ----------
     level : PotentialLevel
-    scale : (K,) float64
-        Of its coefficients.
+    weights : (K,) float64
+        Squares of the scales of its coefficients.
     whole : (w,) int64
         Points that see 64 splines each ...
-    places : (w, 3) float64, mm
-        ... and where they are.
     rows : (w, 16) int32
-        `potentials.runs_seen` of them.
-    others : (o,) int64
-        All other points: at a border of the lattice, or away from it.
+        ... and `potential_runs.runs_seen` of them.
+    partly : (o,) int64
+        Points at a border of the lattice.
+    places : (o, 3) float64, mm
+        Where they are.
     """
 
     level: PotentialLevel
-    scale: Float
+    weights: Float
     whole: Int
-    places: Points
     rows: NDArray[np.int32]
-    others: Int
+    partly: Int
+    places: Points
 
     @classmethod
     def of(cls, level: PotentialLevel, at: Points, *, smoothness: float) -> _Seen:
         squares = np.zeros(len(level.coefficients))
         potentials.spread_squares(level.low, level.spacing_mm, level.numbers, at, squares)
         most = float(np.quantile(squares, SEEN_SHARE)) if len(squares) else 1.0
-        scale = level.spacing_mm**smoothness / np.sqrt(squares / (most or 1.0) + FLOOR)
+        weights = level.spacing_mm ** (2.0 * smoothness) / (squares / (most or 1.0) + FLOOR)
         rows = np.zeros((len(at), 16), np.int32)
-        potentials.runs_seen(level.low, level.spacing_mm, level.numbers, at, rows)
-        whole, others = np.flatnonzero(rows[:, 0] >= 0), np.flatnonzero(rows[:, 0] < 0)
-        return cls(level, scale, whole, at[whole], rows[whole], others)
+        potential_runs.runs_seen(level.low, level.spacing_mm, level.numbers, at, rows)
+        whole, partly = np.flatnonzero(rows[:, 0] >= 0), np.flatnonzero(rows[:, 0] == potential_runs.PARTLY)
+        return cls(level, weights, whole, rows[whole], partly, at[partly])
 
-    def add_curl(self, part: Float, at: Points, out: Points) -> None:
-        """Add the curl of (3, K) scaled coefficients, at all points."""
-        low, h, coefficients = self.level.low, self.level.spacing_mm, self.scale * part
-        values = np.zeros((len(self.whole), 3))
-        potentials.curl_sum_of_runs(low, h, self.rows, *coefficients, self.places, values)
-        out[self.whole] += values
-        if len(self.others):
-            values = np.zeros((len(self.others), 3))
-            held = np.ascontiguousarray(coefficients.T)
-            potentials.curl_sum(low, h, self.level.numbers, held, at[self.others], values)
-            out[self.others] += values
+    def add_curl(self, coefficients: Float, at: Points, out: Points) -> None:
+        """Add the curl of (K, 4) coefficients, at all points."""
+        low, h = self.level.low, self.level.spacing_mm
+        potential_runs.curl_sum_of_runs(low, h, self.rows, self.whole, at, coefficients, out)
+        if len(self.partly):
+            values = np.zeros_like(self.places)
+            potentials.curl_sum(low, h, self.level.numbers, coefficients, self.places, values)
+            out[self.partly] += values
 
-    def spread(self, at: Points, values: Points) -> Float:
-        """(3, K) what the points' values give to the scaled coefficients."""
-        low, h, found = self.level.low, self.level.spacing_mm, np.zeros((3, len(self.scale)))
-        potentials.curl_spread_to_runs(low, h, self.rows, self.places, values[self.whole], *found)
-        if len(self.others):
-            out = np.zeros((len(self.scale), 3))
-            potentials.curl_spread(low, h, self.level.numbers, at[self.others], values[self.others], out)
-            found += out.T
-        spread: Float = self.scale * found
-        return spread
+    def add_spread(self, at: Points, values: Points, out: Float) -> None:
+        """Add what the points' values give to (K, 4) coefficients."""
+        low, h = self.level.low, self.level.spacing_mm
+        potential_runs.curl_spread_to_runs(low, h, self.rows, self.whole, at, values, out)
+        if len(self.partly):
+            potentials.curl_spread(low, h, self.level.numbers, self.places, values[self.partly], out)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Problem:
-    """The linear map from scaled coefficients, (3, K) a level, to what is seen of displacements; and its transpose."""
+    """The linear map from the coefficients of all levels, (K, 4), to what is seen of displacements; and its transpose.
+
+    Parameters
+    ----------
+    at : (m, 3) float64, mm
+        Points in the order of the narrowest level's cells, the slipping ones last.
+    order : (m,) int64
+        Which of the given points each is.
+    normals : (s, 3) float64
+        Of the last s points.
+    levels : tuple of _Seen
+    weights : (K,) float64
+        Squares of the coefficients' scales.
+    """
 
     at: Points
+    order: Int
     normals: Points
     levels: tuple[_Seen, ...]
+    weights: Float
 
     @classmethod
     def of(cls, at: Points, normals: Points, levels: tuple[PotentialLevel, ...], *, smoothness: float) -> _Problem:
-        at = np.ascontiguousarray(at, dtype=np.float64)
-        return cls(at, normals, tuple(_Seen.of(level, at, smoothness=smoothness) for level in levels))
+        narrowest = min((level.spacing_mm for level in levels), default=1.0)
+        slips = np.arange(len(at)) >= len(at) - len(normals)
+        order = np.lexsort((*np.floor(at / narrowest).T[::-1], slips))  # neighbours are in the cache, then
+        turned = normals[order[len(at) - len(normals) :] - (len(at) - len(normals))]
+        at = np.ascontiguousarray(at[order], dtype=np.float64)
+        seen = tuple(_Seen.of(level, at, smoothness=smoothness) for level in levels)
+        weights = np.concatenate([np.zeros(0), *(level.weights for level in seen)])
+        return cls(at, order, turned, seen, weights)
 
-    def seen(self, values: Points) -> Points:
-        held = len(values) - len(self.normals)
-        along = np.einsum("si,si->s", values[held:], self.normals)
-        return np.vstack([values[:held], along[:, None] * self.normals])
+    def seen(self, displacements: Points) -> Points:
+        """What of the given points' displacements counts, in the problem's own order."""
+        return self._across_slip(displacements[self.order])
 
-    def forward(self, parts: list[Float]) -> Points:
+    def _across_slip(self, values: Points) -> Points:
+        slipping = values[len(values) - len(self.normals) :]
+        slipping[:] = np.einsum("si,si->s", slipping, self.normals)[:, None] * self.normals
+        return values
+
+    def forward(self, coefficients: Float) -> Points:
+        """(m, 3) what is seen of (K, 4) coefficients' displacements."""
         values = np.zeros_like(self.at)
-        for level, part in zip(self.levels, parts, strict=True):
-            level.add_curl(part, self.at, values)
-        return self.seen(values)
+        for level, own in zip(self.levels, self._by_level(coefficients), strict=True):
+            level.add_curl(own, self.at, values)
+        return self._across_slip(values)
 
-    def backward(self, values: Points) -> list[Float]:
-        return [level.spread(self.at, values) for level in self.levels]
+    def backward(self, values: Points) -> Float:
+        """(K, 4) the transpose of `forward`."""
+        found = np.zeros((len(self.weights), 4))
+        for level, own in zip(self.levels, self._by_level(found), strict=True):
+            level.add_spread(self.at, values, own)
+        return found
 
-    def field(self, parts: list[Float]) -> SolenoidalField:
-        scaled = (
-            (seen.level, np.ascontiguousarray((seen.scale * part).T))
-            for seen, part in zip(self.levels, parts, strict=True)
+    def field(self, coefficients: Float) -> SolenoidalField:
+        """Of (K, 4) coefficients."""
+        return SolenoidalField(
+            tuple(
+                replace(seen.level, coefficients=np.ascontiguousarray(own[:, :3]))
+                for seen, own in zip(self.levels, self._by_level(coefficients), strict=True)
+            )
         )
-        return SolenoidalField(tuple(replace(level, coefficients=held) for level, held in scaled))
 
-
-def _square(parts: list[Float]) -> float:
-    return sum(float(np.vdot(part, part)) for part in parts)
+    def _by_level(self, coefficients: Float) -> list[Float]:
+        ends = np.cumsum([0, *(len(level.weights) for level in self.levels)])
+        return [coefficients[start:end] for start, end in pairwise(ends)]

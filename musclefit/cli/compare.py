@@ -1,4 +1,4 @@
-"""The command that puts finished runs side by side."""
+"""The command that puts finished runs, or sequences, side by side."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WIDTH = 160
 
 def compare(
     runs: Annotated[
-        list[Path], Parameter(help="Folders that musclefit run wrote; the first is what they are held to.")
+        list[Path], Parameter(help="Folders that musclefit run wrote, or sequence; the first is what they are held to.")
     ],
     /,
     *,
@@ -61,8 +61,10 @@ def _print(found: Differences) -> None:
     for letter, run, verdict, claim, mesh in zip(
         found.letters, found.runs, found.verdicts, found.claims, found.mesh_claims, strict=True
     ):
-        console.print(Text(f"{letter}: {run}: {verdict}; map {claim}, mesh {mesh}"))
-    head = "No run is better" if found.best is None else f"{found.letters[found.best]} is better"
+        known = claim if found.frames else f"map {claim}, mesh {mesh}"
+        console.print(Text(f"{letter}: {run}: {verdict}; {known}"))
+    what = "sequence" if found.frames else "run"
+    head = f"No {what} is better" if found.best is None else f"{found.letters[found.best]} is better"
     console.print(Text(f"{head}: {found.because}."))
     for note in found.notes:
         console.print(Text(f"Note: {note}."))
@@ -89,6 +91,18 @@ def _tables(found: Differences) -> Iterator[tuple[Table, int]]:
     ]
     heads = ["", *(f"{x} apart mm" for x in letters[1:]), *(f"{x} volume %" for x in letters)]
     yield _table("Tissues that differ most", [*heads, *(f"{x} off rigid mm" for x in letters)], tissues)
+    frames = [
+        [
+            f"{row.time_s:.4g}",
+            *_cells(row.apart_mm[1:]),
+            *_cells(row.muscle_change_percent),
+            *_cells(row.introduced_mm3),
+        ]
+        for row in found.frames
+    ]
+    if frames:
+        heads = ["time s", *(f"{x} apart mm" for x in letters[1:]), *(f"{x} muscle %" for x in letters)]
+        yield _table("Frames", [*heads, *(f"{x} introduced mm³" for x in letters)], frames)
     pairs = [
         [f"{row.a} / {row.b}", *_cells(row.introduced_mm3, row.best), *_cells(row.deformed_mm3)] for row in found.pairs
     ]

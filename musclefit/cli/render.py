@@ -1,4 +1,4 @@
-"""The command that draws a finished run for print."""
+"""The command that draws a finished run, or a sequence, for print."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from musclefit.workflows.progress import TimedStages
 
 
 def render(
-    run: Annotated[Path, Parameter(help="The folder that musclefit run wrote.")],
+    run: Annotated[Path, Parameter(help="The folder that musclefit run wrote, or sequence.")],
     out: Annotated[Path, Parameter(help="New folder for the pictures and pictures.json, which has their captions.")],
     /,
     *,
     state: Annotated[
         Literal["result", "rest"], Parameter(name="--state", help="Which positions.", show_default=True)
     ] = "result",
+    frame: Annotated[
+        int | None,
+        Parameter(name="--frame", help="Of a sequence: which frame. Without it: the farthest from rest."),
+    ] = None,
     only: Annotated[
         tuple[str, ...],
         Parameter(name="--only", help="A pattern of tissue names, such as bone_*. May be given again."),
@@ -45,10 +49,14 @@ def render(
             help="Pictures of a film all round, such as 120: an MP4 (extra motion), else a GIF. Without it: none.",
         ),
     ] = 0,
+    film: Annotated[
+        bool,
+        Parameter(name="--film", negative="", help="Of a sequence: a film of the motion, too."),
+    ] = False,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Draw a finished run for print: four stills a quarter turn apart, of one scale with a bar, and a turntable."""
+    """Draw a run, or a frame of a sequence, for print: four stills of one scale with a bar, a turntable, a film."""
     from musclefit.workflows.render import render as draw
 
     with TimedStages(shown=not quiet) as stages:
@@ -56,6 +64,7 @@ def render(
             run,
             out,
             state=state,
+            frame=frame,
             only=only,
             colour=colour,
             width_mm=width_mm,
@@ -65,6 +74,7 @@ def render(
             transparent=transparent,
             scale_bar=not no_scale_bar,
             turns=turntable,
+            film=film,
             progress=stages,
         )
     if json:

@@ -15,7 +15,8 @@ def view(
     /,
     *,
     window: Annotated[
-        bool, Parameter(name="--window", negative="", help="Show a run in a window of its own, not in the browser.")
+        bool,
+        Parameter(name="--window", negative="", help="Show a run or a frame in a window, not the page."),
     ] = False,
     quiet: QuietOption = False,
     json: JsonOption = False,

@@ -18,6 +18,10 @@ from musclefit.figures.colours import tissue_colours
 from musclefit.figures.panels import Panel, screenshot, tissue_panels
 
 FILM_HEIGHT_PX = 540
+
+FILM_FRAME_S = 0.08
+"""Shortest time that a film shows a frame; quick motions are shown slower than they are."""
+
 _COLOURS = 128
 """Of a GIF."""
 _TITLE_ROOM = 0.08
@@ -45,6 +49,17 @@ def motion_pictures(
     with pv.vtk_verbosity("off"):
         for frame, title in zip(frames, titles, strict=True):
             yield screenshot(tissue_panels((Panel(title, frame),), view, colours=colours, height_px=height_px))
+
+
+def film_pace(times_s: Sequence[float]) -> tuple[float, str]:
+    """How long a film shows each frame, s, and in words how much slower than it is; "" where it is not.
+
+    >>> film_pace([0.0, 0.5, 1.0]), film_pace([0.0, 0.02, 0.04])
+    ((0.5, ''), (0.08, ', 4 times slower than it is'))
+    """
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+    each_s = max(FILM_FRAME_S, step_s)
+    return each_s, "" if each_s < 1.05 * step_s else f", {each_s / step_s:.3g} times slower than it is"
 
 
 def gif(pictures: Sequence[bytes], *, seconds_each: float) -> bytes:

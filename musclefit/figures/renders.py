@@ -78,6 +78,8 @@ class Look:
         Colours its vertices in place of its own colour; tissues without are drawn in theirs.
     values_name : str
         What the values are, with unit.
+    values_top : float
+        The value of the last colour; 0 for the largest value.
     """
 
     skin_opacity: float = SKIN_OPACITY
@@ -85,6 +87,12 @@ class Look:
     scale_bar: bool = True
     values: Mapping[str, Float] | None = None
     values_name: str = ""
+    values_top: float = 0.0
+
+    @property
+    def top(self) -> float:
+        """The value of the last colour."""
+        return self.values_top or _top(self.values or {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +112,7 @@ def still(anatomy: Anatomy, view: View, *, size: Size, look: Look) -> Still:
         bar_mm = round_length_mm(_BAR_SHARE * image.width * mm_per_px)
         _draw_bar(image, bar_mm, mm_per_px)
     if look.values:
-        _draw_colours(image, _top(look.values), look.values_name)
+        _draw_colours(image, look.top, look.values_name)
     data = BytesIO()
     picture = image if look.transparent else image.convert("RGB")
     picture.save(data, "PNG", dpi=(size.dpi, size.dpi), optimize=False)
@@ -131,7 +139,7 @@ def _drawn(anatomy: Anatomy, view: View, *, size: Size, look: Look) -> tuple[Any
     width, height = size.pixels
     colours = tissue_colours(anatomy)
     values = look.values or {}
-    top = _top(values)
+    top = look.top
     with pv.vtk_verbosity("off"):
         plotter = pv.Plotter(off_screen=True, border=False, window_size=[width, height])
         plotter.set_background("white")

@@ -22,6 +22,9 @@ from musclefit.report.scene import Scene, SceneField, SceneMark, SceneShape, Sce
 DRAWN_OF_A_KIND = 60
 """Places of one kind that are drawn of one state: the largest; the page says how many are not."""
 
+DRAWN_COORDINATES = 45_000_000
+"""Of all frames of a page, which take 0.5 to 0.7 bytes each: 80 frames of a leg with 187,000 vertices, about 30 MB."""
+
 GAP_SHARE = 1.0 / 50.0
 """Gaps are coloured up to this share of the body's largest extent."""
 
@@ -53,8 +56,12 @@ def run_scene(made: Retargeting) -> Scene:
     return _scene(result.rest, shapes, left_out)
 
 
-def motion_scene(rest: Anatomy, frames: Sequence[tuple[str, float, Anatomy]]) -> Scene:
-    """A motion, frame by frame, from the anatomy at rest.
+MotionFrame = tuple[str, float, Anatomy]
+"""A frame of a motion: title, time in s, and anatomy."""
+
+
+def motion_scene(rest: Anatomy, frames: Sequence[MotionFrame]) -> Scene:
+    """A motion, frame by frame, from the anatomy at rest; evenly thinned where it is too long for a page.
 
     Parameters
     ----------
@@ -62,9 +69,29 @@ def motion_scene(rest: Anatomy, frames: Sequence[tuple[str, float, Anatomy]]) ->
     frames : sequence of title, time in s, and anatomy
         In order of time, on the triangles of ``rest``.
     """
+    return motions_scene(rest, {"": frames})
+
+
+def motions_scene(rest: Anatomy, motions: Mapping[str, Sequence[MotionFrame]]) -> Scene:
+    """Motions beside each other, each as `motion_scene` shows it.
+
+    Parameters
+    ----------
+    rest : Anatomy
+        Of the first.
+    motions : mapping of name to frames
+        Of the same tissues.
+    """
+    coordinates = 3 * sum(len(a.vertices()) for frames in motions.values() for _, _, a in frames)
+    every = max(1, math.ceil(coordinates / DRAWN_COORDINATES))
     shapes = [SceneShape("Rest", _surfaces(rest))]
-    shapes += [SceneShape(title, _surfaces(anatomy), time_s=time_s) for title, time_s, anatomy in frames]
-    return _scene(rest, shapes, [])
+    for name, frames in motions.items():
+        shapes += [
+            SceneShape(title, _surfaces(anatomy), time_s=time_s, motion=name)
+            for title, time_s, anatomy in frames[::every]
+        ]
+    thinned = f"one of {every} frames is shown, so that the page stays small enough to open; all are in the tables"
+    return _scene(rest, shapes, [thinned] if every > 1 else [])
 
 
 def compared_scene(rest: Anatomy, results: Mapping[str, Anatomy]) -> Scene:

@@ -27,6 +27,7 @@ from musclefit.report.sequence import FrameSummary, summary_of
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
 
+PLAN, REST = "sequence.json", "rest.vtp"
 FRAMES, VERTICES, SURFACES, RECORD = "frames", "vertices.npy", "tissues.vtp", "frame.json"
 
 
@@ -58,6 +59,29 @@ def frame_key(job: Job, pose: Pose) -> str:
 def frame_folder(sequence: Path, number: int) -> Path:
     """Where a frame of a sequence is."""
     return sequence / FRAMES / f"{number:04d}"
+
+
+def tissues_in_order(anatomy: Anatomy) -> list[dict[str, Any]]:
+    """What the rows of ``vertices.npy`` and the triangles of ``rest.vtp`` belong to, one tissue after the other."""
+    return [
+        {
+            "name": tissue.name,
+            "kind": tissue.kind.value,
+            "vertices": len(tissue.surface.vertices),
+            "triangles": len(tissue.surface.faces),
+        }
+        for tissue in anatomy
+    ]
+
+
+def write_rest(sequence: Path, rest: Anatomy) -> None:
+    """Write the given triangles at rest, in double precision, whole or not at all."""
+    partial = sequence / f".rest.partial-{uuid.uuid4().hex}.vtp"
+    try:
+        save_whole(posed_surfaces(rest, rest, time_s=0.0, double=True), partial)
+        partial.replace(sequence / REST)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def write_frame(sequence: Path, frame: Frame, *, job: Job, cpu_s: Mapping[str, float]) -> None:

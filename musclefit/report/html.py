@@ -87,9 +87,11 @@ def render_differences(found: Differences, *, links: Sequence[str], scene: Scene
     scene : Scene or None
     """
     better = None if found.best is None else found.runs[found.best]
+    what = "Sequence" if found.frames else "Run"
     page = {
-        "report": {"title": "Runs side by side"},
-        "verdict": "no run is better" if better is None else f"{better} is better",
+        "report": {"title": f"{what}s side by side"},
+        "what": what,
+        "verdict": f"no {what.lower()} is better" if better is None else f"{better} is better",
         "found": found,
         "better": better,
         "letters": found.letters,

@@ -81,8 +81,29 @@ class SettingRow:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameRow:
+    """One time of sequences; values are None where a sequence has no frame then, or has not made it.
+
+    Parameters
+    ----------
+    time_s : float
+    outcomes : tuple of str
+        What came of the frame of each sequence; "" where it has none at this time.
+    muscle_change_percent, introduced_mm3, apart_mm : tuple of float or None
+        The largest change of a muscle's volume, all overlap that is introduced, and the farthest that a given vertex
+        lies from where the first sequence takes it.
+    """
+
+    time_s: float
+    outcomes: tuple[str, ...]
+    muscle_change_percent: Values
+    introduced_mm3: Values
+    apart_mm: Values
+
+
+@dataclass(frozen=True, slots=True)
 class Differences:
-    """Runs side by side.
+    """Runs, or sequences, side by side.
 
     Parameters
     ----------
@@ -101,6 +122,8 @@ class Differences:
         Those that overlap in any run; those that differ most first.
     notes : tuple of str
         What stands in the way of a fair comparison.
+    frames : tuple of FrameRow
+        Of sequences, in order of time.
     """
 
     runs: tuple[str, ...]
@@ -115,6 +138,7 @@ class Differences:
     tissues: tuple[TissueRow, ...]
     pairs: tuple[PairRow, ...]
     notes: tuple[str, ...]
+    frames: tuple[FrameRow, ...] = ()
 
     @property
     def letters(self) -> tuple[str, ...]:
@@ -143,8 +167,15 @@ def differences(
     told = tuple(reports.values())
     claims = tuple(str(one["map"]["claim"]) for one in told)
     mesh_claims = tuple("none" if one["mesh"] is None else str(one["mesh"]["claim"]) for one in told)
-    measures = _measures(told)
-    best, because = _better(tuple(reports), told, claims, mesh_claims)
+    measures = measure_rows(told)
+    best, because = better_of(
+        tuple(reports),
+        told,
+        (
+            ("its map has the stronger claim", [_weakness(claim) for claim in claims]),
+            ("its tetrahedra have the stronger claim", [_weakness(claim) for claim in mesh_claims]),
+        ),
+    )
     return Differences(
         runs=tuple(reports),
         titles=tuple(str(one["title"]) for one in told),
@@ -153,11 +184,11 @@ def differences(
         mesh_claims=mesh_claims,
         best=best,
         because=because,
-        settings=_settings(told),
+        settings=setting_rows(told),
         measures=(*measures, *_unjudged(told)),
-        tissues=_tissues(told, apart_mm),
-        pairs=_pairs(told),
-        notes=(*_notes(tuple(reports), told), *notes),
+        tissues=tissue_rows(told, apart_mm),
+        pairs=pair_rows(told),
+        notes=(*notes_on(tuple(reports), told), *notes),
     )
 
 
@@ -177,7 +208,7 @@ def _same(a: float, b: float, limit_a: float | None, limit_b: float | None) -> b
     return a == b or abs(a - b) <= SAME * max(a, b) < math.inf or max(a, b) <= floor
 
 
-def _measures(told: Sequence[Mapping[str, Any]]) -> tuple[MeasureRow, ...]:
+def measure_rows(told: Sequence[Mapping[str, Any]]) -> tuple[MeasureRow, ...]:
     """Every check of any run."""
     by_name = [{check["name"]: check for check in one["checks"]} for one in told]
     rows = []
@@ -203,27 +234,31 @@ def _unjudged(told: Sequence[Mapping[str, Any]]) -> tuple[MeasureRow, ...]:
     return tuple(MeasureRow(name, unit, values, (None,) * len(told), ()) for (name, unit), values in rows.items())
 
 
-def _better(
+def better_of(
     names: tuple[str, ...],
     told: Sequence[Mapping[str, Any]],
-    claims: tuple[str, ...],
-    mesh_claims: tuple[str, ...],
+    by_claims: Sequence[tuple[str, Sequence[float]]],
 ) -> tuple[int | None, str]:
-    """The better run and why: by failed checks, then by claims, then where no measure is worse and one is better."""
-    ways = (
-        ("it fails fewer checks", [sum(not check["passed"] for check in one["checks"]) for one in told]),
-        ("its map has the stronger claim", [_weakness(claim) for claim in claims]),
-        ("its tetrahedra have the stronger claim", [_weakness(claim) for claim in mesh_claims]),
-    )
+    """The better one and why: by failed checks, then by claims, then where no measure is worse and one is better.
+
+    Parameters
+    ----------
+    names : tuple of str
+    told : sequence of mapping
+        Reports, with their checks.
+    by_claims : sequence of (why, ranks)
+        How weak the claims of each are, the weightiest first.
+    """
+    failed = [sum(not check["passed"] for check in one["checks"]) for one in told]
     left = list(range(len(names)))
-    for why, ranks in ways:
+    for why, ranks in (("it fails fewer checks", failed), *by_claims):
         least = min(ranks[k] for k in left)
         fewer = [k for k in left if ranks[k] == least]
         if len(fewer) == 1:
             return fewer[0], why
         left = fewer
     among = tuple(told[k] for k in left)
-    judged = [row for row in _measures(among) if row.best]
+    judged = [row for row in measure_rows(among) if row.best]
     if not judged:
         return None, f"{_listed(names, left)} are the same in all that is judged"
     never_worse = [k for place, k in enumerate(left) if all(place in row.best for row in judged)]
@@ -240,7 +275,8 @@ def _listed(names: tuple[str, ...], some: Sequence[int]) -> str:
     return " and ".join(names[k] for k in some)
 
 
-def _tissues(told: Sequence[Mapping[str, Any]], apart_mm: Mapping[str, Values]) -> tuple[TissueRow, ...]:
+def tissue_rows(told: Sequence[Mapping[str, Any]], apart_mm: Mapping[str, Values]) -> tuple[TissueRow, ...]:
+    """Every tissue of any run, those that differ most first; ``apart_mm`` by tissue."""
     by_name = [{tissue["name"]: tissue for tissue in one["tissues"]} for one in told]
     rows = []
     for name in _all(tissue["name"] for one in told for tissue in one["tissues"]):
@@ -270,7 +306,8 @@ def _tissues(told: Sequence[Mapping[str, Any]], apart_mm: Mapping[str, Values]) 
     return tuple(sorted(rows, key=lambda row: (-_spread(row.apart_mm), -_spread(row.volume_change_percent), row.name)))
 
 
-def _pairs(told: Sequence[Mapping[str, Any]]) -> tuple[PairRow, ...]:
+def pair_rows(told: Sequence[Mapping[str, Any]]) -> tuple[PairRow, ...]:
+    """Every pair that overlaps in any run, those that differ most first."""
     found = [{tuple(sorted((pair["a"], pair["b"]))): pair for pair in one["overlaps"]} for one in told]
     there = [{tissue["name"] for tissue in one["tissues"]} for one in told]
     unchecked = [{name for left in one["not_checked"] for name in str(left["what"]).split(" / ")} for one in told]
@@ -290,10 +327,10 @@ def _pairs(told: Sequence[Mapping[str, Any]]) -> tuple[PairRow, ...]:
     return tuple(sorted(rows, key=lambda row: (-_spread(row.introduced_mm3), -_spread(row.deformed_mm3), row.a, row.b)))
 
 
-def _settings(told: Sequence[Mapping[str, Any]]) -> tuple[SettingRow, ...]:
+def setting_rows(told: Sequence[Mapping[str, Any]]) -> tuple[SettingRow, ...]:
     """Settings, versions and input files that are not the same in all runs; title and overrides are told elsewhere."""
     flat = [_flat(one["provenance"]) for one in told]
-    left_out = ("settings.title", "settings.overrides", "settings.purpose_because", "platform")
+    left_out = ("settings.title", "settings.overrides", "settings.purpose_because", "platform", "workers")
     rows = []
     for key in _all(key for one in flat for key in one):
         values = tuple(one.get(key, "") for one in flat)
@@ -322,7 +359,7 @@ def _said(value: Any) -> str:
     return "none" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _notes(names: tuple[str, ...], told: Sequence[Mapping[str, Any]]) -> list[str]:
+def notes_on(names: tuple[str, ...], told: Sequence[Mapping[str, Any]]) -> list[str]:
     """Where the runs are not of the same tissues, or were held to other limits."""
     notes = []
     first = {tissue["name"]: tissue["rest_volume_mm3"] for tissue in told[0]["tissues"]}

@@ -70,13 +70,14 @@ class SceneMark:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneShape:
-    """All tissues in one state: a surface each, values and marks; ``time_s`` where it is a frame of a motion."""
+    """All tissues in one state: a surface each, values and marks; of a frame of a motion its time and the motion."""
 
     title: str
     surfaces: tuple[TriMesh, ...]
     fields: tuple[SceneField, ...] = ()
     marks: tuple[SceneMark, ...] = ()
     time_s: float | None = None
+    motion: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -147,6 +148,7 @@ def packed(scene: Scene) -> tuple[str, str]:
                 "title": shape.title,
                 "topology": number,
                 "time_s": shape.time_s,
+                "motion": shape.motion,
                 "guess": guess[0],
                 "positions": arrays.add_words(_signed16(positions - guess[1])),
                 "fields": [_packed_field(values, arrays) for values in shape.fields],
@@ -257,7 +259,8 @@ def _guess(
 ) -> tuple[list[Any], np.ndarray[Any, np.dtype[np.uint16]]]:
     """Where the vertices are likely to be, from the shapes before, and how the page finds the same."""
     same = [k for k, shape in enumerate(said) if shape["topology"] == number]
-    frames = [k for k in same if said[k]["time_s"] is not None]
+    own = scene.shapes[len(said)].motion
+    frames = [k for k in same if said[k]["time_s"] is not None and said[k]["motion"] == own]
     if len(frames) >= 2 and scene.shapes[len(said)].time_s is not None:
         return ["line", frames[-2], frames[-1]], whole[frames[-1]] + (whole[frames[-1]] - whole[frames[-2]])
     if same:

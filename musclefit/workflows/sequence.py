@@ -23,11 +23,14 @@ from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
 from musclefit.io.rigs import read_rig
 from musclefit.io.sequence_frames import (
+    PLAN,
     SURFACES,
     StoredFrame,
     clear_partial,
     frame_key,
     read_frame,
+    tissues_in_order,
+    write_rest,
 )
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.retarget import settings_of
@@ -50,7 +53,7 @@ from musclefit.workflows.results import Judged
 from musclefit.workflows.sequence_tasks import examine, make, prepare, read_between
 from musclefit.workflows.worker_pool import Pool
 
-PLAN, SERIES, MEASURES, REPORT_JSON = "sequence.json", "sequence.pvd", "muscles.csv", "report.json"
+SERIES, MEASURES, REPORT_JSON = "sequence.pvd", "muscles.csv", "report.json"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -291,7 +294,7 @@ def run_sequence(
     Returns
     -------
     SequenceReport
-        Also as ``report.json``, with ``muscles.csv`` and ``sequence.pvd`` beside it.
+        Also as ``report.json``, with ``muscles.csv``, ``sequence.pvd`` and ``rest.vtp`` beside it.
 
     Raises
     ------
@@ -336,6 +339,7 @@ def run_sequence(
             },
         )
         _write_tables(folder, report, stored)
+        write_rest(folder, plan.job.anatomy)
     return report
 
 
@@ -421,6 +425,7 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
         "frames": len(plan.poses),
         "settings": settings,
         "inputs": dict(plan.job.hashes),
+        "tissues": tissues_in_order(plan.job.anatomy),
     }
     if folder.is_dir() and any(folder.iterdir()):
         known = _read_plan(folder)

@@ -8,7 +8,7 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.figures.colours import tissue_colours
-from musclefit.figures.films import contact_sheet, gif, motion_pictures, mp4, mp4_problem
+from musclefit.figures.films import contact_sheet, film_pace, gif, motion_pictures, mp4, mp4_problem
 from musclefit.figures.rendering import rendering_problem
 from musclefit.figures.scenes import motion_scene
 from musclefit.io.atomic import write_atomically, write_bytes_atomically
@@ -22,9 +22,6 @@ PAGE, FILM_GIF, FILM_MP4, MODEL = "report.html", "motion.gif", "motion.mp4", "mo
 
 SHEET_FRAMES = 12
 """Frames shown beside each other on the page."""
-
-FILM_FRAME_S = 0.08
-"""Shortest time that a film shows a frame; quick motions are shown slower than they are."""
 
 
 def write_outputs(
@@ -57,15 +54,13 @@ def write_outputs(
         problems = rendering_problem()
         if not problems:
             drawn = _draw(kept, progress)
-            seconds_each = max(FILM_FRAME_S, _step_s(kept))
+            seconds_each, slower = film_pace([summary.time_s for summary, _ in kept])
             data = gif(drawn, seconds_each=seconds_each)
             written.append(write_bytes_atomically(folder / FILM_GIF, data))
             problems = mp4_problem()
             if not problems:
                 written.append(write_bytes_atomically(folder / FILM_MP4, mp4(drawn, seconds_each=seconds_each)))
-            slower = seconds_each / _step_s(kept)
-            said = "" if slower < 1.05 else f", {slower:.3g} times slower than it is"
-            embedded[f"The motion{said}"] = ("image/gif", data)
+            embedded[f"The motion{slower}"] = ("image/gif", data)
             sheet = [drawn[k] for k in _even(len(drawn), SHEET_FRAMES)]
             columns = min(len(sheet), 6)
             embedded["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
@@ -95,11 +90,6 @@ def _draw(kept: list[tuple[FrameSummary, Anatomy]], progress: Progress) -> list[
 def _title(summary: FrameSummary) -> str:
     pose = ", ".join(f"{name} {angle:.0f}°" for name, angle in summary.pose_deg.items())
     return f"{summary.time_s:.2f} s\n{pose}"
-
-
-def _step_s(kept: list[tuple[FrameSummary, Anatomy]]) -> float:
-    times = [summary.time_s for summary, _ in kept]
-    return float(np.median(np.diff(times))) if len(times) > 1 else 1.0
 
 
 def _even(count: int, wanted: int) -> list[int]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
-from musclefit.io.finished_runs import read_finished_run
 from musclefit.io.run_folder import REPORT_HTML
 from musclefit.workflows.collect import COHORT_HTML
 from musclefit.workflows.compare import COMPARISON_HTML
@@ -60,19 +59,21 @@ def view(folder: str | Path) -> bool:
 
 
 def view_in_window(run: str | Path) -> None:
-    """Show a run at rest and deformed, side by side, in a window, until that is closed.
+    """Show a run, or a sequence's frame farthest from rest, beside the rest, in a window, until that is closed.
 
     Raises
     ------
     InputError, MeshError
-        The folder holds no run, or there is no screen.
+        The folder holds no run and no sequence, or there is no screen.
     """
-    rest, deformed = read_finished_run(run).surfaces()
+    from musclefit.workflows.render import drawn_of
+
+    shown = drawn_of(run)
     if sys.platform not in ("win32", "darwin") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
             "there is no screen for a window (DISPLAY is not set); leave --window for the page, or use musclefit render"
         )
-    side_by_side(rest, deformed).show()
+    side_by_side(shown.rest, shown.posed).show()
 
 
 def side_by_side(rest: Anatomy, deformed: Anatomy) -> Any:

@@ -12,11 +12,12 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy, TissueKind
 
 
-def posed_surfaces(rest: Anatomy, posed: Anatomy, *, time_s: float) -> Any:
+def posed_surfaces(rest: Anatomy, posed: Anatomy, *, time_s: float, double: bool = False) -> Any:
     """All surfaces of a frame as one PolyData.
 
-    Points are in single precision and carry ``displacement_mm``; cells carry ``tissue`` (an index) and ``kind`` (0
-    skin, 1 other, 2 muscle, 3 bone); field data hold the time and, for each tissue, ``tissue_<index>_<name>``.
+    Points are in single precision, or ``double``, and carry ``displacement_mm``; cells carry ``tissue`` (an index) and
+    ``kind`` (0 skin, 1 other, 2 muscle, 3 bone); field data hold the time and, for each tissue,
+    ``tissue_<index>_<name>``.
     """
     import pyvista as pv
 
@@ -25,7 +26,7 @@ def posed_surfaces(rest: Anatomy, posed: Anatomy, *, time_s: float) -> Any:
     counts = [len(t.surface.faces) for t in posed]
     order = list(TissueKind)
     vertices = posed.vertices()
-    surface = pv.PolyData.from_regular_faces(vertices.astype(np.float32), faces)
+    surface = pv.PolyData.from_regular_faces(vertices if double else vertices.astype(np.float32), faces)
     surface.point_data["displacement_mm"] = (vertices - rest.vertices()).astype(np.float32)
     surface.cell_data["tissue"] = np.repeat(np.arange(len(counts), dtype=np.int16), counts)
     surface.cell_data["kind"] = np.repeat(np.array([order.index(t.kind) for t in posed], dtype=np.int8), counts)

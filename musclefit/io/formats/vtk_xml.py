@@ -157,9 +157,12 @@ class VtkFile:
         """(n, components) of an array at points; None where a piece lacks it."""
         return self._data_of("PointData", name, count="NumberOfPoints", components=components)
 
-    def cell_data(self, name: str) -> Array | None:
-        """(c,) of an array at cells of an unstructured grid; None where a piece lacks it."""
-        values = self._data_of("CellData", name, count="NumberOfCells", components=1)
+    def cell_data(self, name: str, *, count: str = "NumberOfCells") -> Array | None:
+        """(c,) of an array at cells; None where a piece lacks it.
+
+        ``count`` states how many there are: of an unstructured grid, or of the one section of PolyData that has cells.
+        """
+        values = self._data_of("CellData", name, count=count, components=1)
         return None if values is None else values[:, 0]
 
     def field_numbers(self) -> dict[str, Array]:

@@ -123,6 +123,13 @@
   // ---- what is shown ----------------------------------------------------------------------------------------------
 
   const frames = scene.shapes.map((s, k) => k).filter((k) => scene.shapes[k].time_s !== null);
+  const motions = [...new Set(frames.map((k) => scene.shapes[k].motion))];
+  const times = [...new Set(frames.map((k) => Math.round(1e6 * scene.shapes[k].time_s) / 1e6))].sort((a, b) => a - b);
+  // The frame of a motion that is shown at the time of the slider: the last that is not later, or the first.
+  function frameOf(motion) {
+    const own = frames.filter((k) => scene.shapes[k].motion === motion), now = times[shown.frame] + 1e-6;
+    return own.filter((k) => scene.shapes[k].time_s <= now).pop() ?? own[0];
+  }
   const states = scene.shapes.map((s, k) => k).filter((k) => scene.shapes[k].time_s === null);
   const layers = scene.tissues.map(() => true);
   const opacity = { skin: 0.2, muscle: 1, bone: 1, other: 1 };
@@ -390,17 +397,17 @@
   const left = $("left"), right = $("right");
   option(left, "none", "nothing (one view)");
   for (const k of states) { option(left, k, scene.shapes[k].title); option(right, k, scene.shapes[k].title); }
-  if (frames.length) { option(left, "motion", "Motion"); option(right, "motion", "Motion"); }
+  for (const [m, name] of motions.entries()) { option(left, `motion ${m}`, name || "Motion"); option(right, `motion ${m}`, name || "Motion"); }
   const narrow = matchMedia("(max-width: 48rem)").matches;
-  left.value = narrow || states.length < 1 || scene.shapes.length < 2 ? "none" : "0";
-  right.value = frames.length ? "motion" : String(states[Math.min(1, states.length - 1)]);
+  left.value = narrow || states.length < 1 || scene.shapes.length < 2 ? "none" : motions.length > 1 ? "motion 0" : "0";
+  right.value = frames.length ? `motion ${Math.min(1, motions.length - 1)}` : String(states[Math.min(1, states.length - 1)]);
 
   function choose() {
-    const wanted = [left.value, right.value].filter((v) => v !== "none").map((v) => (v === "motion" ? frames[shown.frame] : Number(v)));
+    const wanted = [left.value, right.value].filter((v) => v !== "none").map((v) => (v.startsWith("motion") ? frameOf(motions[Number(v.slice(7))]) : Number(v)));
     while (sides.length < wanted.length) sides.push(makeSide());
     while (sides.length > wanted.length) sides.shift();
     wanted.forEach((number, k) => setShape(sides[k], number));
-    const titles = wanted.map((number) => scene.shapes[number].title);
+    const titles = wanted.map((number) => [scene.shapes[number].motion, scene.shapes[number].title].filter(Boolean).join(": "));
     $("title-left").textContent = titles.length > 1 ? titles[0] : "";
     $("title-right").textContent = titles[titles.length - 1];
     root.dataset.shown = titles.join(" | ");
@@ -487,11 +494,11 @@
   $("motion").hidden = !frames.length;
   if (frames.length) {
     const slider = $("time"), play = $("play");
-    slider.max = String(frames.length - 1);
+    slider.max = String(times.length - 1);
     const go = (k) => {
       shown.frame = k;
       slider.value = String(k);
-      const text = `${scene.shapes[frames[k]].time_s.toFixed(3)} s, frame ${k + 1} of ${frames.length}`;
+      const text = `${times[k].toFixed(3)} s, frame ${k + 1} of ${times.length}`;
       slider.setAttribute("aria-valuetext", text);
       $("time-said").textContent = text;
       choose();
@@ -500,7 +507,7 @@
     let last = 0;
     const tick = (now) => {
       if (!shown.playing) return;
-      if (now - last > 80) { last = now; go((shown.frame + 1) % frames.length); }
+      if (now - last > 80) { last = now; go((shown.frame + 1) % times.length); }
       requestAnimationFrame(tick);
     };
     play.addEventListener("click", () => {

@@ -29,7 +29,7 @@ PAIRS: Mapping[str, str] = {
 
 def arm26_arms(model_file: Path, angles_deg: Sequence[float]) -> Mapping[str, list[float]]:
     """Moment arms of arm26's muscles about its elbow, mm, at each angle; its own signs, flexion above 0."""
-    import opensim  # type: ignore[import-untyped]
+    import opensim
 
     opensim.Logger.setLevelString("error")
     model = opensim.Model(str(model_file))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -18,7 +18,17 @@ def import_osim(
     out: Annotated[Path, Parameter(help="New or empty folder for the rig.")],
     /,
     *,
-    motion: Annotated[Path | None, Parameter(name="--motion", help=".mot or .sto that the rig follows.")] = None,
+    motion: Annotated[
+        Path | None, Parameter(name="--motion", help=".mot, .sto, or markers in a .trc or .c3d, that the rig follows.")
+    ] = None,
+    markers_up: Annotated[
+        Literal["x", "y", "z"] | None,
+        Parameter(name="--markers-up", help="The axis of the markers' file that points up; y where a .trc is silent."),
+    ] = None,
+    markers_shift_mm: Annotated[
+        tuple[float, float, float] | None,
+        Parameter(name="--markers-shift-mm", help="Added to the markers then: x, y and z, mm."),
+    ] = None,
     geometry: Annotated[
         tuple[Path, ...],
         Parameter(name="--geometry", help="A further folder to look for meshes in. May be given again."),
@@ -33,7 +43,16 @@ def import_osim(
     from musclefit.workflows.import_osim import import_osim as make
 
     with TimedStages(shown=not quiet) as stages:
-        made = make(model, out, motion=motion, geometry=geometry, skip_missing=skip_missing, progress=stages)
+        made = make(
+            model,
+            out,
+            motion=motion,
+            markers_up=markers_up,
+            markers_shift_mm=markers_shift_mm or (),
+            geometry=geometry,
+            skip_missing=skip_missing,
+            progress=stages,
+        )
     if json:
         print_json(made.to_json())
     elif not quiet:

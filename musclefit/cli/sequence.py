@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from musclefit.report.sequence import SequenceReport
 
 PASSED, FAILED = 0, 1
+_TOLD = ("marker-residuals", "unused-markers", "coordinates-open", "model-turned")
+"""Findings about markers that are printed; the page has all."""
 
 
 def sequence(
@@ -25,8 +27,8 @@ def sequence(
     motion: Annotated[
         Path | None,
         Parameter(
-            help="CSV of joints' keyframes: time_s, <coordinate>_deg, ...; .mot or .sto where an OpenSim model drives. "
-            "Without it: drive.motion of the rig."
+            help="CSV of joints' keyframes: time_s, <coordinate>_deg, ...; where an OpenSim model drives, its "
+            ".mot or .sto, or markers in a .trc or .c3d. Without it: drive.motion of the rig."
         ),
     ] = None,
     /,
@@ -111,6 +113,9 @@ def _print(report: SequenceReport, folder: Path) -> None:
         said = f"{check.value:.4g}", f"{check.limit:.4g}" if check.limited else "none"
         table.add_row("ok" if check.passed else "FAIL", check.name, *said, check.unit, Text(check.place))
     console.print(table)
+    for finding in report.findings:
+        if finding.code in _TOLD:
+            console.print(Text(f"{finding.subject}: {finding.message}"))
     for check in report.checks:
         if not check.passed:
             console.print(Text(f"next, for {check.name}: {check.next_step}"))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
+from musclefit.anatomy.findings import Finding
 from musclefit.report import next_steps
 from musclefit.report.model import Verdict, verdict_of
 from musclefit.validate.between_frames import Passage
@@ -169,6 +170,8 @@ class SequenceReport:
     cpu_s : mapping of part to seconds
         Summed over all processes, of this run.
     provenance : mapping
+    findings : tuple of Finding
+        What was found in the input; none of it fails a sequence.
     """
 
     title: str
@@ -178,6 +181,7 @@ class SequenceReport:
     limits: Mapping[str, float | None]
     cpu_s: Mapping[str, float]
     provenance: Mapping[str, Any]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def made(self) -> tuple[FrameSummary, ...]:
@@ -255,6 +259,7 @@ def sequence_to_json(report: SequenceReport) -> dict[str, Any]:
         "title": report.title,
         "verdict": report.verdict,
         "resampling": report.resampling,
+        "findings": [asdict(finding) for finding in report.findings],
         "certified_frames": report.certified,
         "limits": dict(report.limits),
         "checks": [_plain_check(check) for check in report.checks],

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import RigError
@@ -298,7 +298,10 @@ def _value(section: Section, key: str, hint: Any) -> Any:
         tuple[float, ...] | None: section.numbers,
         tuple[Compared, ...]: lambda name: section.choices(name, Compared),
     }
-    return readers[hint](key) if hint in readers else section.choice(key, hint)
+    if hint in readers:
+        return readers[hint](key)
+    (choice,) = [argument for argument in get_args(hint) if argument is not type(None)] or [hint]
+    return section.choice(key, choice)
 
 
 def _listed(section: Section, key: str) -> tuple[str, ...]:

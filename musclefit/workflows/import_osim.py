@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 
 from musclefit.errors import InputError
-from musclefit.io.formats.opensim_motion import parse_opensim_motion
+from musclefit.io.drives.opensim import coordinate_motion
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
 from musclefit.io.formats.rows import csv_of
 from musclefit.io.formats.tables import toml_string
 from musclefit.io.formats.texts import read_bytes
+from musclefit.io.marker_motions import ENDINGS as MARKERS
+from musclefit.io.marker_motions import MarkerFrame, Up
 from musclefit.io.opensim_geometry import BETWEEN, PlacedMesh, find_geometry, placed_meshes
 from musclefit.io.run_folder import ply_bytes, require_new_folder, write_new_folder
 from musclefit.progress import Progress
 from musclefit.rig.multibody import CoordinateKind
+from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
@@ -95,6 +98,8 @@ def import_osim(
     out: str | Path,
     *,
     motion: str | Path | None = None,
+    markers_up: Up | str | None = None,
+    markers_shift_mm: Sequence[float] = (),
     geometry: Sequence[str | Path] = (),
     skip_missing: bool = False,
     progress: Progress | None = None,
@@ -109,7 +114,11 @@ def import_osim(
         New or empty folder: ``rig.toml``, ``model.osim``, ``bones/``, ``muscle_paths.csv``, ``markers.csv``,
         ``wraps.csv`` and ``coordinates.csv``; all lengths mm, in the ground's frame and the default pose.
     motion : path, optional
-        .mot or .sto that the rig follows; copied beside it.
+        .mot or .sto, or markers in a .trc or .c3d, that the rig follows; copied beside it.
+    markers_up : {"x", "y", "z"}, optional
+        The axis of the markers' file that points up; without it y, which a .c3d must say.
+    markers_shift_mm : sequence of 3 float
+        Added to the markers then, mm.
     geometry : sequence of path
         Further folders to look for meshes in, after the model's own and its Geometry.
     skip_missing : bool
@@ -123,6 +132,7 @@ def import_osim(
     """
     source, folder = Path(model), Path(out)
     require_new_folder(folder)
+    frame = _marker_frame(motion, markers_up, markers_shift_mm)
     with watched(progress) as stages:
         with stages.stage("read the model"):
             read = read_osim(source)
@@ -130,7 +140,8 @@ def import_osim(
         motion_bytes = None
         if motion is not None:
             motion_bytes = read_bytes(Path(motion))
-            found = parse_opensim_motion(motion_bytes, read.multibody, source=str(motion)).findings
+            with stages.stage("read the motion"):
+                found = coordinate_motion(motion_bytes, read, source=str(motion), frame=frame).findings
             notes += [finding.message for finding in found]
         files, missing = find_geometry(read, [Path(place) for place in geometry])
         if missing and not skip_missing:
@@ -149,7 +160,7 @@ def import_osim(
             )
         called = Path(motion).name if motion is not None else ""
         texts = {
-            RIG: rig_text(read, meshes, motion=called),
+            RIG: rig_text(read, meshes, motion=called, frame=frame),
             "muscle_paths.csv": _pointscsv_of(read, muscles=True),
             "markers.csv": _pointscsv_of(read, muscles=False),
             "wraps.csv": _wrapscsv_of(read),
@@ -164,6 +175,15 @@ def import_osim(
     return ImportedModel(folder, read, meshes, tuple(missing), tuple(notes))
 
 
+def _marker_frame(motion: str | Path | None, up: Up | str | None, shift_mm: Sequence[float]) -> MarkerFrame:
+    if (up or shift_mm) and (motion is None or Path(motion).suffix.lower() not in MARKERS):
+        raise InputError("markers_up and markers_shift_mm have no effect without a .trc or .c3d; leave them out")
+    if shift_mm and (len(shift_mm) != 3 or not np.isfinite(shift_mm).all()):
+        raise InputError(f"markers_shift_mm: found {list(shift_mm)}; expected x, y and z, finite, mm")
+    said = None if up is None else word(Up, up, what="markers_up")
+    return MarkerFrame(said, tuple(float(x) for x in shift_mm) or (0.0, 0.0, 0.0))
+
+
 def read_osim(path: Path) -> OpenSimModel:
     """Read a model file.
 
@@ -175,7 +195,9 @@ def read_osim(path: Path) -> OpenSimModel:
     return parse_osim(read_bytes(path), source=str(path))
 
 
-def rig_text(model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str = "") -> str:
+def rig_text(
+    model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str = "", frame: MarkerFrame | None = None
+) -> str:
     """The rig of a model: its closed bones on their bodies, its motion, or the first free angle a little way."""
     bodies = list(dict.fromkeys(mesh.body for mesh in meshes if not mesh.fault))
     carried = ", ".join(f"{toml_string(body)} = [{toml_string(body + BETWEEN + '*')}]" for body in bodies)
@@ -202,6 +224,8 @@ def rig_text(model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str =
         f'model = "{MODEL}"',
         f"carried = {{ {carried} }}",
         f"motion = {toml_string(motion)}" if motion else f"pose = {{ {_first_pose(model)} }}",
+        *([f'markers_up = "{frame.up}"'] if frame and frame.up else []),
+        *([f"markers_shift_mm = {list(frame.shift_mm)}"] if frame and any(frame.shift_mm) else []),
     ]
     return "\n".join(lines) + "\n"
 

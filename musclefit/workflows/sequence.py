@@ -20,6 +20,7 @@ from musclefit.io.formats.opensim_motion import ENDINGS
 from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.tables import toml_string
 from musclefit.io.formats.vtk_series import collection
+from musclefit.io.marker_motions import ENDINGS as MARKERS
 from musclefit.io.provenance import versions
 from musclefit.io.rigs import read_rig
 from musclefit.io.sequence_frames import (
@@ -177,8 +178,8 @@ def sequence(
     rig : str, path or mapping
         Driven by joints or transforms; see `musclefit.run`.
     motion : path, optional
-        CSV of joints' keyframes: time_s, <coordinate>_deg, ...; or .mot or .sto where an OpenSim model drives; without
-        it the rig's drive.motion.
+        CSV of joints' keyframes: time_s, <coordinate>_deg, ...; or, where an OpenSim model drives, .mot, .sto, .trc or
+        .c3d; without it the rig's drive.motion.
     out : path
         Folder for the frames; a run that was interrupted there goes on.
     frames : int
@@ -259,13 +260,15 @@ def _planned_on_model(
             f"{job.source}: an OpenSim model's bodies follow screws between times; leave interpolation out"
         )
     if not drive.motion:
-        raise InputError(f"{job.source}: drive.motion names no motion; add it, or give a .mot or .sto after the rig")
+        raise InputError(
+            f"{job.source}: drive.motion names no motion; add it, or give a .mot, .sto, .trc or .c3d after the rig"
+        )
     return SequencePlan(job, transforms, frames or drive.frames)
 
 
 def with_motion(motion: str | Path | None, overrides: Sequence[str]) -> tuple[str, ...]:
     """The overrides, and drive.motion where a motion of OpenSim is given, which only the rig's model can read."""
-    if motion is None or Path(motion).suffix.lower() not in ENDINGS:
+    if motion is None or Path(motion).suffix.lower() not in (*ENDINGS, *MARKERS):
         return tuple(overrides)
     if not Path(motion).is_file():
         raise InputError(f"{motion}: no such file; correct the path of the motion")
@@ -330,6 +333,7 @@ def run_sequence(
             between=_between(folder, summaries) if between else (),
             limits={k: None if v is None else float(v) for k, v in plan.job.rig.limits.numbers.items()},
             cpu_s={name: round(seconds, 2) for name, seconds in cpu_s.items()},
+            findings=plan.job.findings,
             provenance={
                 "versions": versions(),
                 "input_sha256": dict(plan.job.hashes),

@@ -88,6 +88,45 @@ def test_a_pose_and_a_sequence_of_a_mot_run_through(tmp_path: Path) -> None:
     assert [frame.outcome for frame in walked.report.frames] == ["made"] * 3
 
 
+def test_a_sequence_follows_markers_and_tells_residuals(tmp_path: Path) -> None:
+    """One marker alone fixes three coordinates of thirteen; the report names the others."""
+    model = write_tiny_osim(tmp_path / "model")
+    mf.import_osim(model, tmp_path / "rig", progress=None)
+    rotation, translation = opensim_places(model, parse_osim(MODEL.encode(), source="m").multibody.values({}))["foot"]
+    x, y, z = (rotation @ (0, 10, 20) + translation).tolist()
+    lines = ["PathFileType\t4\t(X/Y/Z)\tx.trc", "NumFrames\tNumMarkers\tUnits", "2\t1\tmm", "Frame#\tTime\theel\t\t"]
+    lines += ["\t\tX1\tY1\tZ1", f"1\t0\t{x!r}\t{y!r}\t{z!r}", f"2\t0.1\t{x + 20!r}\t{y!r}\t{z!r}"]
+    (tmp_path / "step.trc").write_text("\n".join(lines) + "\n")
+    done = mf.sequence(
+        tmp_path / "rig" / "rig.toml",
+        tmp_path / "step.trc",
+        out=tmp_path / "frames",
+        overrides=["deformer.method=yu2014", "certificate.enabled=false"],
+        pictures=False,
+        between=False,
+        progress=None,
+    )
+    assert [frame.outcome for frame in done.report.frames] == ["made"] * 2
+    told = json.loads((tmp_path / "frames" / "report.json").read_text())["findings"]
+    found = {finding["code"]: finding["message"] for finding in told}
+    assert found["marker-residuals"].startswith("1 markers by OpenSim's inverse kinematics")
+    assert "knee" in found["coordinates-open"]
+    assert "coordinates are not fixed by the markers" in (tmp_path / "frames" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("key", "found"),
+    [("markers_up=z", "drive.markers_up: has no effect"), ("markers_shift_mm=[1,2]", "has 2 numbers; expected x, y")],
+)
+def test_keys_of_markers_that_have_no_meaning_are_refused(tmp_path: Path, key: str, found: str) -> None:
+    model = write_tiny_osim(tmp_path / "model")
+    mf.import_osim(model, tmp_path / "rig", progress=None)
+    with pytest.raises(mf.RigError, match=found):
+        mf.read_rig(tmp_path / "rig" / "rig.toml", overrides=[f"drive.{key}"])
+    with pytest.raises(mf.InputError, match="no effect without a"):
+        mf.import_osim(model, tmp_path / "other", markers_up="z")
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -1,4 +1,4 @@
-"""An OpenSim model moves bones: its own kinematics, by coordinates of a pose or of a motion (.mot, .sto)."""
+"""An OpenSim model moves bones: its own kinematics, by coordinates of a pose or motion, or by markers."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from musclefit.errors import InputError, RigError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.drives.bone_landmarks import handles_of, read_bone_landmarks, refuse_two_ways
 from musclefit.io.drives.carried_bones import Carried, motion_findings
-from musclefit.io.formats.opensim_motion import parse_opensim_motion
-from musclefit.io.formats.osim import parse_osim
+from musclefit.io.formats.opensim_motion import CoordinateMotion, parse_opensim_motion
+from musclefit.io.formats.osim import OpenSimModel, parse_osim
+from musclefit.io.marker_motions import ENDINGS as MARKERS
+from musclefit.io.marker_motions import MarkerFrame, Up, coordinates_of_markers
 from musclefit.rig.chain import ChainMotions
 from musclefit.rig.drive import Drive, Driver, Files, JobParts, at_least_one, finite, found_if_named, register_drive
 from musclefit.rig.handles import Handles
@@ -40,7 +42,9 @@ class OpenSimDrive(Drive):
 
     ``carried`` holds the bodies, each with its bones or shell-style patterns for them. A run goes to ``pose``,
     coordinates with their angles in degrees, or to the motion's ``time_s``, the last where it is None. A sequence
-    follows ``motion`` in ``frames`` poses evenly spaced in time, or (0) at the file's own times.
+    follows ``motion`` in ``frames`` poses evenly spaced in time, or (0) at the file's own times. Markers of a .trc or
+    .c3d become coordinates by OpenSim's inverse kinematics; before, ``markers_up`` is turned to y and
+    ``markers_shift_mm`` added.
 
     Raises
     ------
@@ -64,6 +68,8 @@ class OpenSimDrive(Drive):
     landmarks_per_bone: int = 8
     units: Unit = Unit.MILLIMETRE
     frames: int = 0
+    markers_up: Up | None = None
+    markers_shift_mm: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.pose and not self.motion:
@@ -77,6 +83,11 @@ class OpenSimDrive(Drive):
                 raise RigError(f"drive.pose.{name}_deg: found {degrees}; expected a finite angle in degrees")
         finite("drive.time_s", self.time_s, expected="a finite time in seconds")
         at_least_one("drive.landmarks_per_bone", self.landmarks_per_bone)
+        if self.markers_shift_mm and len(self.markers_shift_mm) != 3:
+            raise RigError(f"drive.markers_shift_mm: has {len(self.markers_shift_mm)} numbers; expected x, y and z, mm")
+        if (self.markers_up or self.markers_shift_mm) and not self.motion.lower().endswith(MARKERS):
+            key = "markers_up" if self.markers_up else "markers_shift_mm"
+            raise RigError(f"drive.{key}: has no effect without markers; drive.motion must be a .trc or .c3d")
 
     @classmethod
     def check_table(cls, section: Section) -> None:
@@ -104,6 +115,10 @@ class OpenSimDrive(Drive):
             landmarks=found_if_named(self.landmarks, files, key="drive.landmarks"),
         )
 
+    @property
+    def _frame(self) -> MarkerFrame:
+        return MarkerFrame(self.markers_up, self.markers_shift_mm or (0.0, 0.0, 0.0))
+
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnModel:  # noqa: ARG002
         """The model, the bodies' transforms, and the landmarks."""
         key = "drive.model"
@@ -119,7 +134,7 @@ class OpenSimDrive(Drive):
             key = "drive.motion"
             if self.motion:
                 data = files.read(Path(self.motion), key=key)
-                followed, found = followed_motion(data, model.multibody, source=self.motion)
+                followed, found = followed_motion(data, model, source=self.motion, frame=self._frame)
                 findings += found
             key = "drive.time_s"
             if followed is not None and self.time_s is not None:
@@ -135,9 +150,26 @@ class OpenSimDrive(Drive):
         return OnModel(self, path, posed or whole, whole, model.multibody, landmarks, findings)
 
 
-def followed_motion(data: bytes, multibody: Multibody, *, source: str) -> tuple[BoneTransforms, tuple[Finding, ...]]:
+def coordinate_motion(
+    data: bytes, model: OpenSimModel, *, source: str, frame: MarkerFrame | None = None
+) -> CoordinateMotion:
+    """A model's coordinates over time, of a .mot, .sto, .trc or .c3d.
+
+    Raises
+    ------
+    InputError
+        See `parse_opensim_motion` and `coordinates_of_markers`.
+    """
+    if source.lower().endswith(MARKERS):
+        return coordinates_of_markers(data, model, source=source, frame=frame)
+    return parse_opensim_motion(data, model.multibody, source=source)
+
+
+def followed_motion(
+    data: bytes, model: OpenSimModel, *, source: str, frame: MarkerFrame | None = None
+) -> tuple[BoneTransforms, tuple[Finding, ...]]:
     """The bodies' transforms from the default pose at each time of a motion, by the model's kinematics."""
-    motion = parse_opensim_motion(data, multibody, source=source)
+    motion, multibody = coordinate_motion(data, model, source=source, frame=frame), model.multibody
     poses = [multibody.motions(motion.at(row)) for row in range(len(motion.times_s))]
     tracks = {body: Track(motion.times_s, tuple(pose[body] for pose in poses)) for body in multibody.bodies}
     return BoneTransforms(tracks, source, timed=True), motion.findings

@@ -78,7 +78,7 @@ def parse_opensim_motion(data: bytes, multibody: Multibody, *, source: str) -> C
     for name, column in columns.items():
         of = multibody.coordinates[name]
         given = table[:, column] * (factor if of.kind is CoordinateKind.ROTATIONAL else 1.0)
-        findings += _range_findings(of, given, source)
+        findings += range_findings(of, given, source)
         if not of.locked:
             values[name] = given
     findings += _name_findings(columns, unused, multibody, source)
@@ -148,7 +148,8 @@ def _matched(labels: list[str], multibody: Multibody) -> tuple[dict[str, int], l
     return columns, unused
 
 
-def _range_findings(of: Coordinate, values: Float, source: str) -> list[Finding]:
+def range_findings(of: Coordinate, values: Float, source: str) -> list[Finding]:
+    """What is to be told of a coordinate's values: that it is locked, or leaves its range."""
     unit = "radians" if of.kind is CoordinateKind.ROTATIONAL else "m"
     if of.locked:
         off = float(np.abs(values - of.default).max())

@@ -11,7 +11,7 @@ from musclefit.geometry.arrays import Float, Points
 from musclefit.io.formats.texts import in_mm
 from musclefit.vocabulary import Unit
 
-_UNITS = {
+UNITS = {
     **{unit.value: unit for unit in Unit},
     **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), Unit.MILLIMETRE),
     **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), Unit.CENTIMETRE),
@@ -65,6 +65,28 @@ class Trajectories:
         flat = self.positions.reshape(-1, 3)
         found: Points = flat[np.isfinite(flat).all(axis=1)]
         return found
+
+    def times_s(self, source: str) -> Float:
+        """(frames,) the column Time, s.
+
+        Raises
+        ------
+        LandmarkError
+            A time that is no finite number, or that does not rise.
+        """
+        times = np.empty(len(self.frame_lines))
+        for k, line in enumerate(self.frame_lines):
+            cells = _cells(self.lines[line])
+            try:
+                times[k] = float(cells[1])
+            except (IndexError, ValueError):
+                times[k] = np.nan
+            if not np.isfinite(times[k]) or (k and not times[k] > times[k - 1]):
+                found = cells[1] if len(cells) > 1 else "nothing"
+                raise LandmarkError(
+                    f"{source}: line {line + 1}: Time is {found}; expected numbers that rise, correct it"
+                )
+        return times
 
     def with_seen(self, moved: Points) -> str:
         """The file's text with the positions that were seen, (k, 3) mm, moved."""
@@ -142,9 +164,9 @@ def _stated(lines: tuple[str, ...], source: str) -> dict[str, str]:
 def _unit(said: str, source: str, units: Unit) -> Unit:
     if not said.strip():
         return units
-    if said.strip().lower() not in _UNITS:
+    if said.strip().lower() not in UNITS:
         raise LandmarkError(f"{source}: Units is {said.strip()!r}; known are {', '.join(Unit)}")
-    return _UNITS[said.strip().lower()]
+    return UNITS[said.strip().lower()]
 
 
 def _count(stated: dict[str, str], key: str, source: str) -> int:

@@ -30,6 +30,7 @@ from musclefit.report.model import Report
 from musclefit.rig.job import AttachedPoints, Job
 from musclefit.rig.settings import TetSettings
 from musclefit.workflows.beside import Beside
+from musclefit.workflows.compiling_ahead import compiled_ahead
 from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
@@ -195,7 +196,8 @@ def run(
                         stages.say(finding.message)
                 return tets
 
-            with Beside(fill, progress=stages.in_another_thread(), waiting=stages) as tets_beside:
+            beside = Beside(fill, progress=stages.in_another_thread(), waiting=stages)
+            with compiled_ahead(job), beside as tets_beside:
                 made = retarget(job, tets=tets_beside, progress=tets_beside.while_well(stages))
             if out is None:
                 known = measured(stages.seconds, provenance=made.report.provenance)

@@ -37,26 +37,28 @@ def architecture(
     ] = None,
     within_mm: Annotated[
         float | None,
-        Parameter(name="--within-mm", help="How close a muscle is to bone where it holds on; chosen without it."),
+        Parameter(name="--within-mm", help="Largest distance of an attachment from its bone; chosen if not given."),
     ] = None,
     muscles: Annotated[
         tuple[str, ...],
-        Parameter(name="--muscles", help="Name or shell-style pattern of the muscles to look at. May be given again."),
+        Parameter(name="--muscles", help="Name or shell-style pattern of the muscles to analyse. May be repeated."),
     ] = (),
-    rest: Annotated[bool, Parameter(name="--rest", negative="", help="Stay at rest: nothing is deformed.")] = False,
+    rest: Annotated[
+        bool, Parameter(name="--rest", negative="", help="Analyse the anatomy at rest, without deforming it.")
+    ] = False,
     curves: Annotated[
         bool,
         Parameter(
             name="--curves",
             negative="",
-            help="Measure fibres and moment arms after each stretch of the way too: curves.csv.",
+            help="Also measure fibres and moment arms after each substep: curves.csv.",
         ),
     ] = False,
     set: SetOption = (),  # noqa: A002 (the option's name)
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Find where muscles hold on to bone, how their fibres run and their moment arms; carry them by the rig's map."""
+    """Find muscle attachments, fibre directions and moment arms, and map them by the rig's deformation."""
     from musclefit.workflows.architecture import architecture as find
 
     folder = out or Path("musclefit-out") / f"{Path(rig).stem}-architecture"

@@ -41,16 +41,16 @@ def batch(
         bool, Parameter(name="--slurm", negative="", help="Write the script of a SLURM array and run nothing.")
     ] = False,
     estimate: Annotated[
-        bool, Parameter(name="--estimate", negative="", help="Tell how long it will take and run nothing.")
+        bool, Parameter(name="--estimate", negative="", help="Forecast time and memory, and run nothing.")
     ] = False,
     only: Annotated[
-        str, Parameter(name="--only", help="Make this one case and write no table; as each task of an array does.")
+        str, Parameter(name="--only", help="Run this one case and write no table, as each task of an array does.")
     ] = "",
     parquet: ParquetOption = False,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Run every subject in every rig along every motion: done cases are kept, failures do not stop the rest."""
+    """Run every subject with every rig and motion; finished cases are kept, and a failure does not stop the rest."""
     from musclefit.workflows import batch as studies
 
     ways = {"--slurm": slurm, "--estimate": estimate, "--only": only, "--scheduler": scheduler}

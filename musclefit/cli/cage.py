@@ -28,7 +28,7 @@ def cage(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Make a cage that follows a skin: even triangles, none of which cross. Move its vertices, and it drives a body."""
+    """Make a cage around a skin: even triangles, none of which cross. Its moved vertices drive a body."""
     from musclefit.workflows.cage import cage as make
 
     made = make(skin, out, vertices=vertices, units=units)

@@ -16,11 +16,13 @@ def check_mesh(
     run: Annotated[Path, Parameter(help="The folder that a run with tetrahedra wrote.")],
     /,
     *,
-    out: Annotated[Path | None, Parameter(name="--out", help="Write the table to this CSV file too; replaced.")] = None,
+    out: Annotated[
+        Path | None, Parameter(name="--out", help="Also write the table to this CSV file, replacing it.")
+    ] = None,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Tell scaled Jacobians and dihedral angles of a run's tetrahedra at rest and deformed; 1 if any is inside out."""
+    """Report the scaled Jacobians and dihedral angles of a run's tetrahedra; exit code 1 if any is inverted."""
     from musclefit.workflows.check_mesh import check_mesh as examine
 
     found = examine(run, out=out)
@@ -29,7 +31,7 @@ def check_mesh(
     elif not quiet:
         width = max(len(row.tissue) for row in found.rows)
         print(f"{found.title}: {found.said()}")
-        print(f"{'':<{width}}  shape        tets  inside out  Jacobian min, 1 %, mean  dihedral min, 1 %, max deg")
+        print(f"{'':<{width}}  shape        tets    inverted  Jacobian min, 1 %, mean  dihedral min, 1 %, max deg")
         for row in found.rows:
             print(
                 f"{row.tissue:<{width}}  {row.shape:<8}  {row.tets:7d}  {row.inside_out:10d}  "

@@ -53,7 +53,7 @@ def _print_summary(cohort: Cohort) -> None:
     for outcome in reasons[:REASONS_SHOWN]:
         print(f"  {outcome.name}: {outcome.status}: {outcome.reason}")
     if len(reasons) > REASONS_SHOWN:
-        print(f"  {len(reasons) - REASONS_SHOWN} more did not pass; the page and outcomes.csv tell of all")
+        print(f"  {len(reasons) - REASONS_SHOWN} more did not pass; all are listed on the page and in outcomes.csv")
     for outlier in cohort.outliers[:OUTLIERS_SHOWN]:
         print(f"  outlier: {outlier.name}: {outlier.measure} {outlier.value:.4g}, median {outlier.median:.4g}")
     if (cohort.folder / COHORT_HTML).is_file():

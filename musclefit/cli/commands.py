@@ -59,21 +59,21 @@ app = App(
     name="musclefit",
     help="Foldover-free retargeting of layered musculoskeletal models, with a report that proves it.",
     version=__version__,
-    help_epilogue="Exit code 0: passed; 1: a limit failed, the report is written; 2: bad input, nothing is written; "
-    "3: an error that was not foreseen, a log file is written; 130: interrupted.",
+    help_epilogue="Exit code 0: passed; 1: a limit is exceeded, the report is written; 2: bad input, nothing is "
+    "written; 3: unexpected error, a log file is written; 130: interrupted.",
     default_parameter=Parameter(negative=(), show_default=False),
     usage="Usage: musclefit COMMAND [OPTIONS]",
     suppress_keyboard_interrupt=False,
 )
 
 Json = Annotated[bool, Parameter(name="--json", help="Print report.json instead of a summary.")]
-NoPictures = Annotated[bool, Parameter(name="--no-pictures", help="Draw no pictures, which take seconds.")]
+NoPictures = Annotated[bool, Parameter(name="--no-pictures", help="Draw no pictures, which saves seconds.")]
 Tets = Annotated[
     bool | None,
     Parameter(
         name="--tets",
         negative="--no-tets",
-        help="Make tetrahedra of all tissues together and prove the deformed mesh, which takes long; or make none, "
+        help="Make tetrahedra of all tissues together and prove the deformed mesh, which takes minutes; or make none, "
         "whatever the rig says.",
     ),
 ]
@@ -91,7 +91,7 @@ def demo(
     quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
-    """Bend the built-in upper limb to elbow 75 degrees, forearm 70 degrees, and prove what was done."""
+    """Bend the built-in upper limb (elbow 75 degrees, forearm 70 degrees) and prove the result."""
     return _run(find_rig(DEMO_RIG), (), out=out, tets=tets, pictures=not no_pictures, quiet=quiet, json=json)
 
 
@@ -112,36 +112,34 @@ def run(
         str,
         Parameter(
             name="--backend",
-            help=f"What carries the displacements: {', '.join(BackendKind)}; the same as --set deformer.backend=...",
+            help=f"Interpolation of displacements: {', '.join(BackendKind)}; the same as --set deformer.backend=...",
         ),
     ] = "",
     set: Annotated[  # noqa: A002 (the option's name)
         tuple[str, ...],
         Parameter(
             name="--set",
-            help="key=value: replace one value of the rig file, such as deformer.kernel=r3. May be given again.",
+            help="key=value: replace one value of the rig file, such as deformer.kernel=r3. May be repeated.",
         ),
     ] = (),
     points: Annotated[
         tuple[Path, ...],
         Parameter(
             name="--points",
-            help="A file of attached points to take along (CSV, .fcsv, .mrk.json, .trc, .ply, .stl, .obj, .vtp, .vtu), "
-            "written to points/ in the same format. May be given again.",
+            help="A file of attached points to deform too (CSV, .fcsv, .mrk.json, .trc, .ply, .stl, .obj, .vtp, .vtu), "
+            "written to points/ in the same format. May be repeated.",
         ),
     ] = (),
     intermediate: Annotated[
         bool,
-        Parameter(
-            name="--intermediate", help="Write the surfaces after each step of the way too, to intermediate/01, ..."
-        ),
+        Parameter(name="--intermediate", help="Also write the surfaces after each step, to intermediate/01, ..."),
     ] = False,
     tets: Tets = None,
     no_pictures: NoPictures = False,
     quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
-    """Run a rig: deform its anatomy, check the result, write surfaces, tetrahedra and report."""
+    """Run a rig: deform its anatomy, check the result, and write surfaces, tetrahedra and a report."""
     path = find_rig(rig)
     overrides = (*set, *([f"deformer.backend={backend}"] if backend else []))
     folder = out if out is not None else Path("musclefit-out") / path.stem
@@ -179,36 +177,36 @@ def check(
         tuple[str, ...],
         Parameter(
             name="--kind",
-            help="name=kind: what a tissue is, ahead of what its file name says; the name may be a pattern, the kind "
-            f"is {', '.join(TissueKind)}. May be given again.",
+            help="name=kind: what a tissue is, overriding its file name; the name may be a pattern, the kind "
+            f"is {', '.join(TissueKind)}. May be repeated.",
         ),
     ] = (),
     fail_on: Annotated[
         tuple[str, ...],
         Parameter(
             name="--fail-on",
-            help="Findings that give exit code 1 too, parted by commas, such as self-crossing,non-manifold,pieces; "
-            "overlaps, open surfaces and those without an inside always do.",
+            help="Findings that fail the check (exit code 1) too, separated by commas, such as "
+            "self-crossing,non-manifold,pieces; overlaps, open surfaces and surfaces without an inside always fail it.",
         ),
     ] = (),
     thinnest_mm: Annotated[
         float,
         Parameter(
             name="--thinnest-mm",
-            help="Walls of a tissue thinner than this, and slots narrower, give exit code 1 too; 0: not looked for.",
+            help="Fail where a wall of a tissue is thinner, or a slot narrower, than this; 0: not checked.",
         ),
     ] = 0.0,
     smallest_gap_mm: Annotated[
         float,
         Parameter(
             name="--smallest-gap-mm",
-            help="Two tissues closer than this that do not overlap give exit code 1 too; 0: not looked for.",
+            help="Fail where two tissues that do not overlap are closer than this; 0: not checked.",
         ),
     ] = 0.0,
     quiet: QuietOption = False,
     json: Json = False,
 ) -> int:
-    """Report the overlaps and mesh faults of a layered anatomy as it is."""
+    """Report the overlaps and mesh faults of a layered anatomy as it stands."""
     from musclefit.report.schema import to_json
     from musclefit.workflows.check import check as examine
 

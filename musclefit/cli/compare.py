@@ -37,7 +37,7 @@ def compare(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Put finished runs side by side: what was set and came out otherwise, per tissue and pair, and which is better."""
+    """Compare finished runs: the settings and results that differ, by tissue and pair, and which run is better."""
     from musclefit.workflows.compare import COMPARISON_HTML
     from musclefit.workflows.compare import compare as put_beside
 

@@ -21,18 +21,16 @@ def export(
     /,
     *,
     shape: Annotated[
-        Shape, Parameter(name="--shape", help="Positions after the deformation or before it.", show_default=True)
+        Shape, Parameter(name="--shape", help="Positions after or before the deformation.", show_default=True)
     ] = Shape.DEFORMED,
-    quadratic: Annotated[
-        bool, Parameter(name="--quadratic", negative="", help="Nodes in the middles of edges too: tet10.")
-    ] = False,
+    quadratic: Annotated[bool, Parameter(name="--quadratic", negative="", help="Add mid-edge nodes: tet10.")] = False,
     msh: Annotated[
         Literal["4.1", "2.2"], Parameter(name="--msh", help="Version of a .msh file.", show_default=True)
     ] = "4.1",
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, mm."""
+    """Write a run's tetrahedra for a solver: one element set per tissue, shared nodes, placeholder materials, in mm."""
     from musclefit.io.formats.solvers import PLACEHOLDER
     from musclefit.workflows.export import export as write
 

@@ -21,13 +21,13 @@ def export_osim(
     *,
     geometry: Annotated[
         tuple[Path, ...],
-        Parameter(name="--geometry", help="A further folder to look for meshes in. May be given again."),
+        Parameter(name="--geometry", help="A further folder to search for meshes. May be repeated."),
     ] = (),
     set: SetOption = (),  # noqa: A002 (the option's name)
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Carry an OpenSim model by a rig's deformation: points, frames, wrap objects, lengths and geometry."""
+    """Deform an OpenSim model by a rig: its points, frames, wrap objects, lengths and geometry."""
     from musclefit.workflows.export_osim import export_osim as carry
 
     with TimedStages(shown=not quiet) as stages:

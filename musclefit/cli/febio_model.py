@@ -21,7 +21,7 @@ def febio_model(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Write a model for FEBio 4: bones prescribed from rest into the run's pose, muscles with fibres, soft filler."""
+    """Write an FEBio 4 model: bones moved from rest into the run's pose, muscles with fibres, soft filler between."""
     from musclefit.workflows.febio_model import febio_model as write
 
     made = write(run, architecture, out)

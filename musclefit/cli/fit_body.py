@@ -20,7 +20,9 @@ UNSURE = 1.3
 
 def fit_body(
     template: Annotated[Path, Parameter(help="The template's skin, closed: PLY, STL, OBJ, VTP.")],
-    scan: Annotated[Path, Parameter(help="A surface near it in pose, anywhere in space; holes are allowed.")],
+    scan: Annotated[
+        Path, Parameter(help="The scan: a surface in a similar pose, anywhere in space; holes are allowed.")
+    ],
     out: Annotated[Path, Parameter(help="New or empty folder for cage, targets, rig, surfaces and report.")],
     /,
     *,
@@ -28,11 +30,11 @@ def fit_body(
         Path | None, Parameter(name="--cage", help="Cage of the template; without it, one is made.")
     ] = None,
     vertices: Annotated[
-        int, Parameter(name="--vertices", help="How many vertices the cage has that is made.", show_default=True)
+        int, Parameter(name="--vertices", help="Number of vertices of a cage that is made.", show_default=True)
     ] = 800,
     anatomy: Annotated[
         tuple[str, ...],
-        Parameter(name="--anatomy", help="Surfaces, or a pattern of them, that the rig names too. May be given again."),
+        Parameter(name="--anatomy", help="Further surfaces for the rig, or a pattern for them. May be repeated."),
     ] = (),
     units: Annotated[
         Literal["mm", "cm", "m"], Parameter(name="--units", help="Length unit of the template.", show_default=True)
@@ -46,15 +48,18 @@ def fit_body(
     scan_landmarks: Annotated[Path | None, Parameter(name="--scan-landmarks", help="landmarks on the scan.")] = None,
     frame: Annotated[str, Parameter(name="--frame", help="The template's frame, for the rig.")] = "",
     median_mm: Annotated[
-        float, Parameter(name="--median-mm", help="Limit of the median distance of the scan.", show_default=True)
+        float, Parameter(name="--median-mm", help="Largest median distance of the scan that passes.", show_default=True)
     ] = 2.0,
     most_mm: Annotated[
-        float, Parameter(name="--most-mm", help="Limit that 95 % of the scan's area keeps.", show_default=True)
+        float,
+        Parameter(
+            name="--most-mm", help="Largest distance that passes for 95 % of the scan's area.", show_default=True
+        ),
     ] = 8.0,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Fit a template's skin to a scan of any triangles, and write the targets of a cage that drives the anatomy there.
+    """Fit a template's skin to a body scan of any triangulation, and write the cage that deforms the anatomy to match.
 
     Exit code 1: the fit is written, and the scan is farther from the skin than the limits.
     """
@@ -89,16 +94,16 @@ def fit_body(
         print(f"the scan is {found.fit.size:.3g} times the template as a whole; cage of {len(found.fit.cage.vertices)}")
         if found.fit.rival is not None and found.fit.rival < UNSURE:
             print(
-                f"the scan could lie another way too (it fits {found.fit.rival:.2f} times as badly): look whether "
+                f"the scan also fits in another orientation ({found.fit.rival:.2f} times the distance): check whether "
                 "front is front, or give three landmarks"
             )
         if found.fit.turned:
-            print("the scan was inside out and was turned")
+            print("the scan was inside out and was reversed")
         if found.fit.crossings:
-            print(f"{found.fit.crossings} pairs of triangles of the target cage cross: look at {out}/cage_target.ply")
+            print(f"{found.fit.crossings} pairs of triangles of the target cage cross: inspect {out}/cage_target.ply")
         if not found.passed:
             print(
-                f"FAILED: colour {out}/scan.vtp by distance_mm. Take away what is no body; give landmarks where limbs "
+                f"FAILED: colour {out}/scan.vtp by distance_mm. Remove what is not body; give landmarks where limbs "
                 "are matched wrongly; give the cage more vertices where details are missed"
             )
         print(f"next: musclefit run {rig_of(out)}")

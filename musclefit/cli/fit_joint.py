@@ -24,14 +24,14 @@ def fit_joint(
         float,
         Parameter(
             name="--within-mm",
-            help="Surfaces within this more than the smallest gap face each other.",
+            help="Surfaces face each other where their gap exceeds the smallest gap by at most this.",
             show_default=True,
         ),
     ] = 5.0,
     units: Annotated[Literal["mm", "cm", "m"], Parameter(name="--units", show_default=True)] = "mm",
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, not a table of joints.")] = False,
 ) -> int:
-    """Fit a joint's axes or centre where two bones face each other, and print it for a table of joints."""
+    """Fit a joint's axes or centre to the facing surfaces of two bones, and print an entry for a table of joints."""
     from musclefit.workflows.fit_joint import fit_joint as fitted
 
     found = fitted(fixed, moving, kind=kind, within_mm=within_mm, units=units)

@@ -41,15 +41,15 @@ def from_labels(
     ),
     header_form: Annotated[
         HeaderForm,
-        Parameter(help="Which transform of a NIfTI header counts where its two disagree.", show_default=True),
+        Parameter(help="Which transform of a NIfTI header to use where its two disagree.", show_default=True),
     ] = HeaderForm.AGREED,
     within_mm: Annotated[
-        float, Parameter(help="Surfaces of two bones within this distance are their joint's.", show_default=True)
+        float, Parameter(help="Surfaces of two bones within this distance belong to their joint.", show_default=True)
     ] = 5.0,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Make surfaces, joints and a ready rig of a segmentation, with a report of all that was done."""
+    """Make surfaces, joints and a ready-to-run rig from a segmentation, with a report of every step."""
     from musclefit.workflows.from_labels import from_labels as make
 
     with TimedStages(shown=not quiet) as stages:

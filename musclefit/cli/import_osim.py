@@ -31,7 +31,7 @@ def import_osim(
     ] = None,
     geometry: Annotated[
         tuple[Path, ...],
-        Parameter(name="--geometry", help="A further folder to look for meshes in. May be given again."),
+        Parameter(name="--geometry", help="A further folder to search for meshes. May be repeated."),
     ] = (),
     skip_missing: Annotated[
         bool, Parameter(name="--skip-missing", negative="", help="Go on without meshes that are nowhere.")
@@ -39,7 +39,7 @@ def import_osim(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Make a rig of an OpenSim model: bones, joints, muscle paths, markers and wrap objects, mm, default pose."""
+    """Make a rig from an OpenSim model: bones, joints, muscle paths, markers and wrap objects, in its default pose."""
     from musclefit.workflows.import_osim import import_osim as make
 
     with TimedStages(shown=not quiet) as stages:

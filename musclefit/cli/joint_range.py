@@ -25,7 +25,7 @@ def joint_range(
     quiet: Annotated[bool, Parameter(name="--quiet", negative="", help="Print no progress.")] = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON instead of a table.")] = False,
 ) -> int:
-    """Say how far each joint can turn before bones run into each other, both ways from rest, the others at rest."""
+    """Report how far each joint can turn either way before bones collide, with the other joints at rest."""
     from musclefit.workflows.joint_range import joint_range as measure
 
     with TimedStages(shown=not quiet) as stages:
@@ -55,17 +55,16 @@ def _print(title: str, ranges: Sequence[JointRange]) -> None:
             console.print(Text(f"{name:<{width}}  {side:<4} {end.degrees:7.1f} deg  {_ended(end)}"))
     console.print(
         Text(
-            f"Tested at least every {STEP_DEG:g} deg; ends found to {RESOLUTION_DEG:g} deg; bones told as they are "
-            f"{STEP_DEG:g} deg beyond."
+            f"Tested at least every {STEP_DEG:g} deg; ends found to {RESOLUTION_DEG:g} deg; contacts are listed "
+            f"{STEP_DEG:g} deg beyond the end."
         )
     )
     if ranges and ranges[0].untested:
-        console.print(Text(f"Not tested, because they are no solids: {', '.join(ranges[0].untested)}"))
+        console.print(Text(f"Not tested, because they are not closed solids: {', '.join(ranges[0].untested)}"))
 
 
 def _ended(end: RangeEnd) -> str:
     if end.beyond is None:
         return {"limit": "its limit", "not met": "nothing so far"}[end.ended_by]
-    return (
-        f"{end.beyond.a} / {end.beyond.b}, {end.beyond.depth_mm:.2g} mm deep, sharing {end.beyond.beyond_mm3:.3g} mm³"
-    )
+    shared = f"overlapping by {end.beyond.beyond_mm3:.3g} mm³"
+    return f"{end.beyond.a} / {end.beyond.b}, {end.beyond.depth_mm:.2g} mm deep, {shared}"

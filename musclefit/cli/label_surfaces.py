@@ -25,7 +25,7 @@ def label_surfaces(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Make the closed, layered surfaces of a segmentation, which a rig reads as its anatomy."""
+    """Make closed, layered surfaces from a segmentation, for a rig to read as its anatomy."""
     from musclefit.workflows.label_surfaces import label_surfaces as make
 
     with TimedStages(shown=not quiet) as stages:

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-QuietOption = Annotated[bool, Parameter(name="--quiet", negative="", help="Print nothing but errors.")]
+QuietOption = Annotated[bool, Parameter(name="--quiet", negative="", help="Print errors only.")]
 JsonOption = Annotated[
     bool, Parameter(name="--json", negative="", help="Print JSON on standard output instead of a summary.")
 ]
 SetOption = Annotated[
     tuple[str, ...],
-    Parameter(name="--set", help="key=value: replace one value of the rig file. May be given again."),
+    Parameter(name="--set", help="key=value: replace one value of the rig file. May be repeated."),
 ]
 
 

@@ -17,21 +17,25 @@ def render(
     /,
     *,
     state: Annotated[
-        Literal["result", "rest"], Parameter(name="--state", help="Which positions.", show_default=True)
+        Literal["result", "rest"], Parameter(name="--state", help="Which positions to draw.", show_default=True)
     ] = "result",
     frame: Annotated[
         int | None,
-        Parameter(name="--frame", help="Of a sequence: which frame. Without it: the farthest from rest."),
+        Parameter(name="--frame", help="Frame of a sequence; without it, the one farthest from rest."),
     ] = None,
     only: Annotated[
         tuple[str, ...],
-        Parameter(name="--only", help="A pattern of tissue names, such as bone_*. May be given again."),
+        Parameter(name="--only", help="A pattern of tissue names, such as bone_*. May be repeated."),
     ] = (),
     colour: Annotated[
-        Literal["tissue", "displacement"], Parameter(name="--colour", help="What colours tissues.", show_default=True)
+        Literal["tissue", "displacement"], Parameter(name="--colour", help="What the colours show.", show_default=True)
     ] = "tissue",
-    width_mm: Annotated[float, Parameter(name="--width-mm", help="Of a printed picture.", show_default=True)] = 90.0,
-    height_mm: Annotated[float, Parameter(name="--height-mm", help="Of a printed picture.", show_default=True)] = 120.0,
+    width_mm: Annotated[
+        float, Parameter(name="--width-mm", help="Size of a printed picture.", show_default=True)
+    ] = 90.0,
+    height_mm: Annotated[
+        float, Parameter(name="--height-mm", help="Size of a printed picture.", show_default=True)
+    ] = 120.0,
     dpi: Annotated[
         float, Parameter(name="--dpi", help="Pixels per inch of a printed picture.", show_default=True)
     ] = 300.0,
@@ -41,7 +45,7 @@ def render(
     transparent: Annotated[
         bool, Parameter(name="--transparent", negative="", help="No background, in place of a white one.")
     ] = False,
-    no_scale_bar: Annotated[bool, Parameter(name="--no-scale-bar", negative="", help="Draw no scale bar.")] = False,
+    no_scale_bar: Annotated[bool, Parameter(name="--no-scale-bar", negative="", help="Omit the scale bar.")] = False,
     turntable: Annotated[
         int,
         Parameter(
@@ -51,12 +55,12 @@ def render(
     ] = 0,
     film: Annotated[
         bool,
-        Parameter(name="--film", negative="", help="Of a sequence: a film of the motion, too."),
+        Parameter(name="--film", negative="", help="Draw a film of the motion as well (sequences)."),
     ] = False,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Draw a run, or a frame of a sequence, for print: four stills of one scale with a bar, a turntable, a film."""
+    """Draw a run, or a frame of a sequence, for print: four stills with a common scale bar, a turntable, a film."""
     from musclefit.workflows.render import render as draw
 
     with TimedStages(shown=not quiet) as stages:

@@ -41,8 +41,8 @@ def repair(
         Literal["none", "priority", "split"],
         Parameter(
             name="--resolve",
-            help="Take away what tissues share, and leave a clearance. priority: one of the two keeps it, bone before "
-            "muscle before other, then by --rule; split: tissues of one kind part it where they are equally deep.",
+            help="Remove overlaps between tissues, and leave a clearance. priority: one of the two keeps the shared "
+            "volume, bone before muscle before other, then by --rule; split: tissues of one kind divide it halfway.",
             show_default=True,
         ),
     ] = "none",
@@ -50,9 +50,9 @@ def repair(
         Literal["least-loss", "smaller", "any-kind"],
         Parameter(
             name="--rule",
-            help="Who loses what two tissues of one kind share. least-loss: the one that loses the smaller share of "
-            "itself, unless only that one would come to more than --max-change-percent or fall apart; smaller: the "
-            "smaller one keeps it; any-kind: least-loss whatever the kinds.",
+            help="Which of two tissues of one kind gives up their overlap. least-loss: the one that loses the smaller "
+            "share of its volume, unless only that one would exceed --max-change-percent or fall apart; smaller: the "
+            "larger one; any-kind: least-loss across kinds too.",
             show_default=True,
         ),
     ] = "least-loss",
@@ -76,27 +76,27 @@ def repair(
     ] = 0.0,
     stray_percent: Annotated[
         float,
-        Parameter(
-            name="--stray-percent", help="Pieces below this share of the volume are taken out.", show_default=True
-        ),
+        Parameter(name="--stray-percent", help="Pieces below this share of the volume are removed.", show_default=True),
     ] = 0.01,
     local_only: Annotated[
         bool,
-        Parameter(name="--local-only", negative="", help="Never make a whole surface anew where local repair fails."),
+        Parameter(name="--local-only", negative="", help="Never rebuild a whole surface where local repair fails."),
     ] = False,
     units: Annotated[
         Literal["mm", "cm", "m"],
-        Parameter(name="--units", help="Length unit of the files; written is mm.", show_default=True),
+        Parameter(name="--units", help="Length unit of the input files; output is in mm.", show_default=True),
     ] = "mm",
     kind: Annotated[
         tuple[str, ...],
-        Parameter(name="--kind", help="name=kind: what a tissue is, ahead of what its file name says."),
+        Parameter(name="--kind", help="name=kind: what a tissue is, overriding what its file name says."),
     ] = (),
-    dry_run: Annotated[bool, Parameter(name="--dry-run", negative="", help="Do all of it, but write nothing.")] = False,
+    dry_run: Annotated[
+        bool, Parameter(name="--dry-run", negative="", help="Repair and report, but write nothing.")
+    ] = False,
     quiet: QuietOption = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print the report as JSON.")] = False,
 ) -> int:
-    """Close holes, take out doubled, flipped and crossing faces, strays and overlaps; say each change with numbers.
+    """Repair surfaces (holes, doubled, flipped and crossing faces, stray pieces) and overlaps, and report each change.
 
     Exit code 1 where a surface is not valid, farther from the original than the limit, changed too much in volume or
     fell apart, or where overlaps are left; all is written then too.
@@ -191,17 +191,17 @@ def _print_resolved(console: Console, resolved: Resolved) -> None:
 
 def _print_room(console: Console, resolved: Resolved) -> None:
     """How far tissues are apart from each other and from themselves."""
-    aimed = f"clearance: {resolved.clearance_mm:g} mm"
+    aimed = f"clearance of {resolved.clearance_mm:g} mm"
     if not resolved.gaps:
-        console.print(Text(f"{aimed}, left between all tissues"))
+        console.print(Text(f"{aimed} kept between all tissues"))
     else:
-        console.print(Text(f"{aimed}, not reached by {len(resolved.gaps)} pairs:"))
+        console.print(Text(f"{aimed} not reached by {len(resolved.gaps)} pairs:"))
         for gap in resolved.gaps[:PAIRS_SHOWN]:
             console.print(Text(f"  {gap.gap_mm:10.4g} mm  {gap.a} / {gap.b}"))
         if len(resolved.gaps) > PAIRS_SHOWN:
             console.print(Text(f"  ... and {len(resolved.gaps) - PAIRS_SHOWN} more, all in the report"))
     for thin in resolved.thin:
-        said = f"closer to itself than half of that over {thin.area_mm2:.3g} mm², both sides counted"
+        said = f"closer to itself than half of that over {thin.area_mm2:.3g} mm² (both sides counted)"
         console.print(Text(f"  {thin.name}: {said}"))
 
 

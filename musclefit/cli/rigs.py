@@ -13,7 +13,7 @@ PASSED = 0
 
 
 def rigs(*, json: JsonOption = False) -> int:
-    """List the rigs that come with musclefit: name, title, and what they need."""
+    """List the rigs that come with musclefit: name, title, and the data they need."""
     import tomllib
 
     from musclefit.io.named_files import DATA_VARIABLE
@@ -42,7 +42,7 @@ def init(
         Path | None, Parameter(name="--joints", help="Table of joints. Without it: a placeholder.")
     ] = None,
 ) -> int:
-    """Write a rig of ten lines to start from: your surfaces, your joints, a pose."""
+    """Write a ten-line rig to start from: your surfaces, your joints, a pose."""
     from musclefit.workflows.init import init as write
 
     made = write(rig, anatomy=anatomy, joints=joints)
@@ -51,10 +51,10 @@ def init(
 
 
 def schema(
-    of: Annotated[Literal["rig", "report", "check"], Parameter(help="What it is the schema of.")],
+    of: Annotated[Literal["rig", "report", "check"], Parameter(help="Which schema to print.")],
     /,
 ) -> int:
-    """Print the JSON Schema of rig files, or of the report of a run or a check."""
+    """Print the JSON Schema of rig files, or of the report of a run or check."""
     import json
 
     from musclefit.workflows.schemas import schema as made

@@ -34,11 +34,16 @@ def sequence(
     /,
     *,
     frames: Annotated[
-        int, Parameter(name="--frames", help="How many, evenly spaced in time. Without it: drive.frames of the rig.")
+        int,
+        Parameter(
+            name="--frames", help="Number of frames, evenly spaced in time. Without it: drive.frames of the rig."
+        ),
     ] = 0,
     interpolation: Annotated[
         Interpolation | None,
-        Parameter(name="--interpolation", help="Between keyframes. Without it: drive.interpolation of the rig."),
+        Parameter(
+            name="--interpolation", help="Interpolation between keyframes. Without it: drive.interpolation of the rig."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -53,7 +58,7 @@ def sequence(
     ] = 0,
     set: SetOption = (),  # noqa: A002 (the option's name)
     no_between: Annotated[
-        bool, Parameter(name="--no-between", negative="", help="Do not examine what passes between frames.")
+        bool, Parameter(name="--no-between", negative="", help="Do not check for collisions between frames.")
     ] = False,
     no_pictures: Annotated[
         bool,
@@ -62,7 +67,7 @@ def sequence(
     quiet: QuietOption = False,
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print report.json, not a summary.")] = False,
 ) -> int:
-    """Follow a motion: every frame from rest, checked; muscle measures, series, film and report."""
+    """Follow a motion: each frame is made from rest and checked; writes muscle measures, series, film and report."""
     from musclefit.workflows.sequence import sequence as follow
 
     folder = out if out is not None else Path("musclefit-out") / find_rig(rig).stem

@@ -81,7 +81,7 @@ def _mesh_claim(report: Report) -> str:
     done = f"{cut.edges_split} edges split in {rounds}" if cut.rounds else ""
     if cut.moving_rounds:
         farthest = max((far for _, _, far in cut.moved_aside), default=0.0)
-        moved = f"vertices moved aside by up to {farthest:.3g} mm in {cut.moving_rounds} rounds"
+        moved = f"vertices moved off the map by up to {farthest:.3g} mm in {cut.moving_rounds} rounds"
         if cut.left_out:
             moved += f" and {cut.left_out} tets of filler ({cut.left_out_mm3:.4g} mm³) left out"
         done = f"{done}, {moved}" if done else moved

@@ -33,10 +33,10 @@ def tell_unforeseen(error: Exception, arguments: Sequence[str]) -> int:
     log = _write_log(error, arguments)
     kept = f"The details are in {log}" if log is not None else "".join(traceback.format_exception(error))
     if isinstance(error, MemoryError):
-        problem = f"the memory ran out ({said}); nothing was left half-written. Give smaller input or free memory."
+        problem = f"out of memory ({said}); nothing was left half-written. Give smaller input or free memory."
     else:
         problem = (
-            f"stopped by an error that was not foreseen ({said}); nothing was left half-written. This is a fault of "
+            f"stopped by an unexpected error ({said}); nothing was left half-written. This is a fault of "
             "musclefit: it says nothing about whether your input is good or a limit is kept."
         )
     with suppress(OSError, ValueError):

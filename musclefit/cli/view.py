@@ -16,12 +16,12 @@ def view(
     *,
     window: Annotated[
         bool,
-        Parameter(name="--window", negative="", help="Show a run or a frame in a window, not the page."),
+        Parameter(name="--window", negative="", help="Show a run or a frame in a window instead of the page."),
     ] = False,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Open the page of a result in the browser, or a run in a window."""
+    """Open the report page of a result in the browser, or show a run in a 3-D window."""
     from musclefit.workflows.view import page_of, view_in_window
     from musclefit.workflows.view import view as open_page
 

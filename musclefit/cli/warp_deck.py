@@ -30,9 +30,9 @@ def warp_deck(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Move the nodes of a solver's deck by a rig's deformation; every other byte of the deck stays as it is.
+    """Move the nodes of a solver's deck by a rig's deformation; every other byte of the deck is kept.
 
-    Exit code 1: the deck is written, and an element is turned inside out that was not before.
+    Exit code 1: the deck is written, and an element is inverted that was not inverted before.
     """
     from musclefit.workflows.warp_deck import warp_deck as warp
 
@@ -54,13 +54,15 @@ def _print(warped: WarpedDeck) -> None:
         if counts:
             print(f"  {title}: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
     if warped.includes:
-        print(f"  not followed, warp each that holds nodes by itself: {', '.join(warped.includes)}")
+        print(f"  included files, not read; warp each that holds nodes separately: {', '.join(warped.includes)}")
     if warped.outside_skin:
-        print(f"  {warped.outside_skin} nodes are outside the skin: moved too, but the map is judged inside it only")
+        print(
+            f"  {warped.outside_skin} nodes are outside the skin; they were moved, but the map is checked only inside"
+        )
     if not warped.passed:
         turned = sum(check.introduced for check in warped.elements)
         print(
-            f"FAILED: {turned} elements are turned inside out that were not before. Cut elements finer where the map "
+            f"FAILED: {turned} elements are newly inverted. Refine the elements where the map "
             "bends them; `musclefit run` says whether the map itself is certified"
         )
 

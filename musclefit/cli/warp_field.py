@@ -35,15 +35,13 @@ def warp_field(
     ] = None,
     frame: Annotated[
         Frame | None,
-        Parameter(help="The frame of the rig's coordinates; without it, that which the rig's anatomy.frame states."),
+        Parameter(help="Frame of the rig's coordinates; without it, the one that anatomy.frame states."),
     ] = None,
-    spacing_mm: Annotated[
-        float | None, Parameter(name="--spacing-mm", help="Spacing of the grids, which hold the body.")
-    ] = None,
-    like: Annotated[Path | None, Parameter(name="--like", help="NIfTI image whose grid is taken instead.")] = None,
+    spacing_mm: Annotated[float | None, Parameter(name="--spacing-mm", help="Grid spacing.")] = None,
+    like: Annotated[Path | None, Parameter(name="--like", help="NIfTI image whose grid is used instead.")] = None,
     margin_mm: Annotated[
         float | None,
-        Parameter(name="--margin-mm", help="How far grids reach beyond the body; without it, twice the spacing."),
+        Parameter(name="--margin-mm", help="How far the grid extends beyond the body; without it, twice the spacing."),
     ] = None,
     set: SetOption = (),  # noqa: A002 (the option's name)
     quiet: QuietOption = False,
@@ -82,9 +80,9 @@ def _print(path: Path, made: DisplacementGrid) -> None:
         f"{error.most_95_mm:.2g} mm, largest {error.max_mm:.2g} mm ({error.tissue})"
     )
     if error.outside:
-        print(f"  {error.outside} of these places are beyond the grid, which leaves them where they are")
+        print(f"  {error.outside} of these places lie beyond the grid, which does not move them")
     if made.filled:
         print(
-            f"  {made.filled} points away from every tissue have no origin and took the displacement of the nearest "
-            "point that has one"
+            f"  {made.filled} points far from all tissues have no preimage and were given the displacement "
+            "of the nearest point that has one"
         )

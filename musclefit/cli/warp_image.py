@@ -27,9 +27,9 @@ def warp_image(
     interpolation: Annotated[
         Interpolation, Parameter(help="Linear and cubic are for intensities, nearest for label maps.")
     ] = Interpolation.LINEAR,
-    outside: Annotated[float, Parameter(help="Value of what comes from beyond the image.")] = 0.0,
+    outside: Annotated[float, Parameter(help="Value of voxels that come from beyond the image.")] = 0.0,
     like: Annotated[
-        Path | None, Parameter(name="--like", help="Image whose grid the result has; without it, that of the image.")
+        Path | None, Parameter(name="--like", help="Image whose grid the result uses; without it, the image's own.")
     ] = None,
     displacements: Annotated[
         Path | None,
@@ -44,7 +44,7 @@ def warp_image(
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Take an image of the body along with a rig's deformation, through its exact inverse."""
+    """Warp an image of the body by a rig's deformation, resampled through the exact inverse."""
     from musclefit.workflows.warp_image import warp_image as warp
 
     with TimedStages(shown=not quiet) as stages:
@@ -63,7 +63,7 @@ def warp_image(
         )
     if warped.unsolved:
         print(
-            f"musclefit: {warped.unsolved} of {warped.values.size} voxels have no origin: the map is not one-to-one "
+            f"musclefit: {warped.unsolved} of {warped.values.size} voxels have no preimage: the map is not one-to-one "
             "there, outside the body; they hold the value for outside",
             file=sys.stderr,
         )

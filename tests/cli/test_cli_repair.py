@@ -81,7 +81,7 @@ def test_overlaps_are_resolved_and_reported_by_pair(tmp_path, capsys):
     assert report["cuts"][0]["name"] == "m"
     assert (report["rule"], report["choice"], report["clearance_mm"]) == ("priority", "least-loss", 0.1)
     assert report["pairs_below_clearance"] == report["tissues_with_thin_places"] == []
-    assert "clearance: 0.1 mm, left between all tissues" in said
+    assert "clearance of 0.1 mm kept between all tissues" in said
     anatomy = read_anatomy(tmp_path / "out").anatomy
     assert [(t.name, t.kind.value) for t in anatomy] == [("m", "muscle"), ("b", "bone")]
 
@@ -149,7 +149,7 @@ def test_clearance_and_rule_are_options_and_told(tmp_path, capsys):
     options = ["--resolve", "priority", "--clearance-mm", "0.2", "--rule", "smaller"]
     assert main(["repair", str(folder), str(tmp_path / "out"), *options]) == 0
     said = capsys.readouterr().out
-    assert "clearance: 0.2 mm, left between all tissues" in said
+    assert "clearance of 0.2 mm kept between all tissues" in said
     assert "muscle_b / muscle_a: priority: the smaller muscle" in said
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert (report["choice"], report["clearance_mm"]) == ("smaller", 0.2)

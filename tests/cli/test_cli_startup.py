@@ -81,4 +81,4 @@ def test_an_error_that_cannot_be_logged_is_still_told(tmp_path, monkeypatch, cap
 
 def test_the_exit_codes_are_in_help(capsys):
     main(["--help"])
-    assert "3: an error that was not foreseen" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "3: unexpected error" in " ".join(capsys.readouterr().out.replace("│", " ").split())

@@ -81,7 +81,7 @@ def test_an_element_that_the_map_turns_inside_out_fails_and_is_written(rig, tmp_
         if code == 1:
             break
     assert code == 1
-    assert "FAILED: 1 elements are turned inside out" in out
+    assert "FAILED: 1 elements are newly inverted" in out
     assert "inverted 0 -> 1" in out
     assert (tmp_path / "b.inp").is_file()
 

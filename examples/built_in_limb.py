@@ -23,7 +23,7 @@ out = Path(tempfile.mkdtemp()) / "limb"
 
 # %% [markdown]
 # ## How far can the joints turn?
-# Both ways from rest, until bones run into each other or a limit is reached.
+# Both ways from rest, until bones collide or a limit is reached.
 
 # %%
 ranges = mf.joint_range("upper_limb")

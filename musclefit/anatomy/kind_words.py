@@ -42,7 +42,7 @@ _IN_TURN = (
     (TissueKind.BONE, frozenset(_BONE.split())),
     (TissueKind.SKIN, frozenset(_SKIN.split())),
 )
-"""Costal cartilage is no bone, intermuscular fat no muscle, tibialis anterior no tibia, and the body of a vertebra no
+"""Costal cartilage is not bone, intermuscular fat not muscle, tibialis anterior not a tibia, the body of a vertebra not
 skin: the first kind that has one of the name's words counts. A word of the body alone, such as TotalSegmentator's, is
 its skin."""
 

@@ -97,7 +97,7 @@ class MapCertificate:
     fold : tuple of Fold
         The counterexample, when refuted; else empty.
     not_covered : tuple of str
-        Names of what is moved by the map as well, but is no part of the claim.
+        Names of what is moved by the map as well, but is not part of the claim.
     """
 
     claim: Claim

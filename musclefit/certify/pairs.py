@@ -310,14 +310,14 @@ def _joined(parts: Sequence[_Boxes]) -> _Boxes:
 
 
 def _matrices(gradients: Gradients, s: float) -> Gradients:
-    """I + s G; NaN as a whole where an entry is no number."""
+    """I + s G; NaN as a whole where an entry is not a number."""
     matrices: Gradients = np.eye(gradients.shape[-1]) + s * gradients
     matrices[~(np.abs(matrices).max(axis=(1, 2), initial=0.0) < 1e100)] = np.nan
     return matrices
 
 
 def _least_singular(matrices: Gradients) -> Float:
-    """(B,) smallest singular values, rounded down; NaN where entries are no numbers."""
+    """(B,) smallest singular values, rounded down; NaN where entries are not numbers."""
     known = np.isfinite(matrices).all(axis=(1, 2))
     least = np.full(len(matrices), np.nan)
     values = np.linalg.svd(matrices[known], compute_uv=False)

@@ -96,9 +96,9 @@ def cubes(radii: Float, n: int) -> Float:
 
 
 def symmetric_eigenvalues(gradients: Gradients) -> Float:
-    """(B, n) eigenvalues of the symmetric parts, ascending, as LAPACK computes them; NaN where entries are no numbers.
+    """(B, n) eigenvalues of the symmetric parts, ascending, as LAPACK computes them; NaN where entries are not numbers.
 
-    Entries beyond 1e150, whose squares are no numbers, count as those.
+    Entries beyond 1e150, whose squares are not numbers, count as those.
     """
     symmetric = 0.5 * (gradients + gradients.transpose(0, 2, 1))
     known = np.abs(symmetric).max(axis=(1, 2), initial=0.0) < LARGEST

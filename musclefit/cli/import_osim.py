@@ -63,7 +63,7 @@ def import_osim(
             print(f"  without {len(made.missing)} meshes that are nowhere: {', '.join(made.missing)}")
         if made.open:
             print(
-                f"  {len(made.open)} meshes are no closed surfaces and stand in open/, outside the rig; mend them with "
+                f"  {len(made.open)} meshes are not closed; they are in open/, outside the rig. Repair them with "
                 f"`musclefit repair {made.folder / 'open'} MENDED`, put them into bones/: "
                 + ", ".join(mesh.name for mesh in made.open)
             )

@@ -1,4 +1,4 @@
-"""The command that says how far each joint of a rig can turn before bones run into each other."""
+"""The command that says how far each joint of a rig can turn before bones collide."""
 
 from __future__ import annotations
 

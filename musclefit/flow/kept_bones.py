@@ -51,7 +51,7 @@ HANDLE_KERNEL, HANDLE_SUPPORT_MM = "wendland-c2", 20.0
 """Of the correction that puts the handles back exactly, from where the one for the bones leaves them."""
 
 WITHIN = 0.5
-"""Winding number of a bone around places that are inside it; bones that keep their shape may run into each other."""
+"""Winding number of a bone around places that are inside it; bones that keep their shape may collide."""
 
 SAMPLED_MM = 5.0
 """Longest edge of the bones' surfaces where the field is held to them."""

@@ -360,7 +360,7 @@ def _stretch(march: Marching) -> _Found:
 def _first_end(start: float, reach: float, stops: tuple[float, ...]) -> float:
     """Where the next stretch may end: what is left up to the next stop is cut into equal parts within the reach."""
     stop = next((moment for moment in stops if moment > start), 1.0)
-    # What floating point leaves of a path cut into equal parts is no part of its own.
+    # What floating point leaves of a path cut into equal parts is not part of its own.
     parts = math.ceil((stop - start - SHORTEST_REACH) / reach)
     return stop if parts <= 1 else start + (stop - start) / parts
 

@@ -187,5 +187,5 @@ def _part(points: Points, start: int, count: int) -> Points:
 def _triangles(file: VtkFile, path: Path) -> Int:
     polys = file.cells("Polys", count="NumberOfPolys")
     if (polys.sizes != 3).any():
-        raise MeshError(f"{path} holds cells that are no triangles; {_AGAIN}")
+        raise MeshError(f"{path} holds cells that are not triangles; {_AGAIN}")
     return polys.corners.reshape(-1, 3)

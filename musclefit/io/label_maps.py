@@ -24,7 +24,7 @@ def read_label_names(path: Path) -> tuple[LabelName, ...]:
     Raises
     ------
     InputError
-        No such file, a column that is missing, a value that is no whole number, or a kind that is not known.
+        No such file, a column that is missing, a value that is not a whole number, or a kind that is not known.
     """
     text = read_text(path)
     try:

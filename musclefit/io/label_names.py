@@ -37,7 +37,7 @@ def read_names(path: Path) -> tuple[NamedValue, ...]:
     Raises
     ------
     InputError
-        No such file, another form, a value that is no whole number above 0 or is given twice, or a kind that is not
+        No such file, another form, a value that is not a whole number above 0 or is given twice, or a kind that is not
         known.
     """
     text = read_text(path)

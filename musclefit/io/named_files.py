@@ -46,7 +46,7 @@ def resolve_data(text: str, *, folder: Path, source: str, key: str) -> Path:
         if not data.is_dir():
             raise RigError(
                 f"{source}: {key}: no data folder: the environment variable {DATA_VARIABLE} {said} "
-                f"{os.path.normpath(data)}, which is no folder; set {DATA_VARIABLE} to the folder of the data"
+                f"{os.path.normpath(data)}, which is not a folder; set {DATA_VARIABLE} to the folder of the data"
             )
         hint = f"{DATA_VARIABLE} {said} {os.path.normpath(data)}"
         expanded = str(data) + text.removeprefix(_PLACEHOLDER)

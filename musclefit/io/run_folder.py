@@ -370,7 +370,7 @@ def _write_folder(folder: Path, fill: Callable[[Path], None], report: Json, *, b
         others = sorted(path.relative_to(build).as_posix() for path in build.rglob("*") if path.is_file())
         files = [REPORT_JSON, *others]
         text = json.dumps({**report, "files": files}, indent=2, allow_nan=False, ensure_ascii=False)
-        # a path that is no text is escaped, as JSON does
+        # a path that is not text is escaped, as JSON does
         (build / REPORT_JSON).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
     return tuple(folder / name for name in files)
 

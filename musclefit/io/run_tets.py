@@ -48,7 +48,7 @@ def read_run_tets(folder: Path, *, shape: Shape) -> LabelledTets:
     if tissues is None or not len(tissues):
         raise InputError(f"{grid_file} has no tissues at its cells; run the rig again")
     if (grid.cell_types() != _TETRAHEDRON).any() or (cells.sizes != 4).any():
-        raise InputError(f"{grid_file} has cells that are no tetrahedra; run the rig again")
+        raise InputError(f"{grid_file} has cells that are not tetrahedra; run the rig again")
     tissue = tissues.astype(np.int64)
     names = {int(v[0]): _unescaped(key) for key, v in grid.field_numbers().items() if len(v) == 2 and v[1] == _SOLID}
     missing = sorted(set(np.unique(tissue).tolist()) - set(names))

@@ -51,7 +51,7 @@ def default_limit_mb() -> float:
     Raises
     ------
     InputError
-        It is no number, or below 0.
+        It is not a number, or below 0.
     """
     chosen = os.environ.get("MUSCLEFIT_CACHE_MB")
     if not chosen:

@@ -324,7 +324,7 @@ def _locks(
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """Progress that makes no difference to what is found: it is no part of what is remembered."""
+    """Progress that makes no difference to what is found: it is not part of what is remembered."""
 
     progress: Progress = field(compare=False)
 

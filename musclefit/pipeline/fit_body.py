@@ -76,7 +76,7 @@ class BodyFit:
     from_scan, from_skin : Distances
         Of places on the scan from the skin, and of places on the skin that have a counterpart from the scan.
     unmatched : float
-        Share of the scan's area that is no part of the skin: far from it, or facing another way.
+        Share of the scan's area that is not part of the skin: far from it, or facing another way.
     uncovered : float
         Share of the skin's area without counterpart on the scan: holes and what was not scanned.
     skin_covered : (v,) bool

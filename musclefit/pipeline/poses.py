@@ -38,7 +38,7 @@ def bones_of(job: Job) -> RigidBones:
     InputError
         No joint drives it.
     MeshError
-        A bone that is no solid.
+        A bone that is not a solid.
     """
     if job.motions is None:
         raise InputError(f"{job.source}: only bones that joints move can be tested for running into each other")
@@ -60,7 +60,7 @@ def shared_in_the_pose(job: Job, bones: RigidBones) -> tuple[BoneOverlap, ...]:
 
 
 def refuse_collision(job: Job, bones: RigidBones) -> None:
-    """Raise InputError when bones run into each other on the way to the pose; it names them and the feasible pose."""
+    """Raise InputError when bones collide on the way to the pose; it names them and the feasible pose."""
     found = collision_on_the_way(job, bones)
     if found is None:
         return
@@ -79,7 +79,7 @@ def collision_in_words(job: Job, found: BoneCollision) -> str:
     """Bones, place on the way, true depth, and the largest feasible pose."""
     first, there = found.found, found.there
     words = (
-        f"bones {first.a!r} and {first.b!r} run into each other at {pose_in_words(job, found.at)}: "
+        f"bones {first.a!r} and {first.b!r} collide at {pose_in_words(job, found.at)}: "
         f"{_overlap_in_words(first)} (allowed: {first.depth_limit_mm:.3g} mm and {first.beyond_limit_mm3:.3g} mm³)"
     )
     if there is None or not there.collides:

@@ -174,7 +174,7 @@ def retarget(job: Job, *, tets: TetAnatomy | TetsLater | None, progress: Progres
     Raises
     ------
     InputError
-        The handles cannot drive a field, or rigid bones run into each other on the way; the message names them, the
+        The handles cannot drive a field, or rigid bones collide on the way; the message names them, the
         pose and the depth.
     """
     progress = progress or Silent()
@@ -252,7 +252,7 @@ class _Finisher:
     """What bones share in the pose by their motions alone: no part of what a deformation that holds them introduces."""
 
     def as_given(self, job: Job) -> _Finisher:
-        """For what a result is shown beside: its tets are moved as they are, and its proof is no part of the job's."""
+        """For what a result is shown beside: its tets are moved as they are, and its proof is not part of the job's."""
         return replace(self, job=job, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:

@@ -36,7 +36,7 @@ class Frame:
         What was measured, as in the report of a single run.
     muscles : tuple of MuscleMeasures
     collision : BoneCollision or None
-        The bones that run into each other on the way to the pose, which is refused.
+        The bones that collide on the way to the pose, which is refused.
     problem : str
         Why there is no frame, in words; "" where there is one.
     surfaces : two Anatomies or None
@@ -79,7 +79,7 @@ class Stage:
         InputError
             Neither joints nor transforms drive it.
         MeshError
-            A bone that is no solid, so that it cannot be tested for running into others.
+            A bone that is not a solid, so that it cannot be tested for running into others.
         """
         require_motion(job)
         progress = progress or Silent()

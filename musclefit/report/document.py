@@ -312,9 +312,9 @@ class BoneOverlap(Part):
     rest_mm3: Number = _says("Volume of their intersection at rest, mm³.")
     posed_mm3: Number = _says("Volume of their intersection where their motions put them, mm³.")
     beyond_mm3: Number = _says("Of it, what is beyond the intersection at rest carried along, mm³.")
-    beyond_limit_mm3: Number = _says("How much of that is no collision yet, by the size of the smaller bone, mm³.")
+    beyond_limit_mm3: Number = _says("How much of that is not yet a collision, by the size of the smaller bone, mm³.")
     depth_mm: Number = _says("How deep its places lie below the surface of either bone, at most, mm.")
-    depth_limit_mm: Number = _says("How deep is no collision yet, by the size of the smaller bone, mm.")
+    depth_limit_mm: Number = _says("How deep does not count as a collision, by the size of the smaller bone, mm.")
 
 
 class NotChecked(Part):
@@ -377,7 +377,7 @@ class RangeEnd(Part):
 
     degrees: Number = _says("How far it can turn to this side, degrees; short of the true end by the resolution.")
     ended_by: Literal["bones", "limit", "not met"] = _says(
-        "Bones that run into each other, the limit stated for it, or nothing as far as 180 degrees."
+        "Bones that collide, the limit stated for it, or nothing as far as 180 degrees."
     )
     beyond: BoneOverlap | None = _says("The bones that end it, one step beyond; null where none do.")
 
@@ -391,7 +391,7 @@ class JointRange(Part):
     limits_deg: tuple[Number, Number] = _says("The limits stated for it, degrees; null where there is none.")
     step_deg: Number = _says("Bones were tested at least this often, degrees.")
     resolution_deg: Number = _says("How finely an end was found, degrees.")
-    untested: list[str] = _says("Bones that were left out because they are no solids.")
+    untested: list[str] = _says("Bones that were left out because they are not solids.")
 
 
 class Limits(Part):

@@ -32,7 +32,7 @@ class FrameSummary:
     ----------
     number, time_s, pose_deg
     outcome : str
-        "made"; "refused" where bones run into each other; "failed" where the method does not get there.
+        "made"; "refused" where bones collide; "failed" where the method does not get there.
     problem : str
         Why it was not made, in words.
     checks : tuple of Check

@@ -425,7 +425,7 @@ def _deviation_findings(given: Sequence[Given], source: str) -> tuple[Finding, .
         return ()
     worst = max(off, key=lambda one: one.deviation)
     message = (
-        f"{len(off)} of {len(given)} transforms are no rotations exactly, the most {worst.said} ({worst.place}): "
+        f"{len(off)} of {len(given)} transforms are not exactly rotations, the most {worst.said} ({worst.place}): "
         f"off by {worst.deviation:.2g}, {1e3 * worst.deviation:.2g} mm at 1 m from the coordinates' origin; each is "
         "taken for the nearest rotation, with its translation as given"
     )

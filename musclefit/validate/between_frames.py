@@ -165,7 +165,7 @@ def check_passages(before: Anatomy, after: Anatomy, *, progress: Progress) -> Pa
 
 
 def shared_volume(anatomy: Anatomy, one: str, other: str) -> float:
-    """What the triangles of two tissues share, mm³; NaN where a surface is no solid."""
+    """What the triangles of two tissues share, mm³; NaN where a surface is not a solid."""
     surfaces: list[TriMesh] = [anatomy[one].surface, anatomy[other].surface]
     try:
         return overlap_volume(*(solid_of(surface) for surface in surfaces))

@@ -1,4 +1,4 @@
-"""Whether bones run into each other on the way to a pose.
+"""Whether bones collide on the way to a pose.
 
 Rest anatomy and rigid motions -> what they share, and how far they can go.
 
@@ -84,7 +84,7 @@ class RigidBones:
     hulls : mapping of bone name to (n, 3) float64, mm
         Corners of its convex hull, which tell its box in any pose.
     distances : mapping of bone name to DistanceTree
-    refused : mapping of bone name to the reason why its surface is no solid
+    refused : mapping of bone name to the reason why its surface is not a solid
     at_rest : dict
         What pairs share at rest, as far as it was asked.
     known : dict
@@ -104,7 +104,7 @@ class RigidBones:
         return tuple(self.solids)
 
     def require_all(self) -> None:
-        """Raise MeshError at the first bone that is no solid."""
+        """Raise MeshError at the first bone that is not a solid."""
         for name, reason in self.refused.items():
             raise MeshError(f"bone {name!r} cannot be tested for running into others: {reason}")
 
@@ -132,7 +132,7 @@ class BoneCollision:
 
 
 def rigid_bones(anatomy: Anatomy, names: Collection[str]) -> RigidBones:
-    """Prepare the bones of an anatomy that are among ``names``; one that is no solid is kept with the reason."""
+    """Prepare the bones of an anatomy that are among ``names``; one that is not a solid is kept with the reason."""
     solids, hulls, distances, refused = {}, {}, {}, {}
     for bone in anatomy.of_kind(TissueKind.BONE):
         if bone.name not in names:

@@ -294,7 +294,7 @@ def _meeting(before: Anatomy, after: Anatomy) -> Passage | None:
 def _introduced(names: Names, rest: Anatomy, posed: Posed) -> float:
     """What two tissues share in a pose beyond what they did at rest, mm³.
 
-    Where a surface is no solid, infinite where triangles cross or touch and did not at rest, else NaN.
+    Where a surface is not a solid, infinite where triangles cross or touch and did not at rest, else NaN.
     """
     at_rest, now = shared_volume(rest, *names), shared_volume(posed.anatomy, *names)
     if math.isnan(at_rest) or math.isnan(now):
@@ -308,7 +308,9 @@ def _introduced(names: Names, rest: Anatomy, posed: Posed) -> float:
 
 def _doubt(seen: _Seen) -> str:
     return (
-        "a surface is no solid: crossings were looked for, not volumes" if any(map(math.isnan, seen.introduced)) else ""
+        "a surface is not a solid: tested for crossings, not for volumes"
+        if any(map(math.isnan, seen.introduced))
+        else ""
     )
 
 

@@ -27,7 +27,7 @@ def close_findings(
     """Where tissues are thinner, their slots narrower, or the gaps between two of them smaller than stated.
 
     Walls and slots are sampled at the middles of small triangles; gaps are exact between the triangles of pairs that do
-    not overlap, the skin left out. What is no solid is not looked at.
+    not overlap, the skin left out. What is not a solid is not looked at.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far can each joint turn before bones run into each other? Bones and joints -> a range for each coordinate."""
+"""How far can each joint turn before bones collide? Bones and joints -> a range for each coordinate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RangeEnd:
     ----------
     degrees : float
     ended_by : str
-        "bones" that run into each other, the "limit" stated for it, or "not met" as far as it was tried.
+        "bones" that collide, the "limit" stated for it, or "not met" as far as it was tried.
     beyond : BoneOverlap or None
         What ends it, ``STEP_DEG`` beyond; None where no bones do.
     """
@@ -37,7 +37,7 @@ class RangeEnd:
 class JointRange:
     """The free range of one coordinate, all others at rest.
 
-    ``limits_deg`` are those stated for it, infinite where there are none; ``untested`` are bones that are no solids.
+    ``limits_deg`` are those stated for it, infinite where there are none; ``untested`` are bones that are not solids.
     """
 
     coordinate: str

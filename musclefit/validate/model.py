@@ -243,7 +243,7 @@ class OutsideCheck:
 class Check:
     """One limit held against one number; ``place`` names where, ``next_step`` what to do where it fails.
 
-    A limit of infinity is none: the number is told as measured, and fails only where it is no number.
+    A limit of infinity is none: the number is told as measured, and fails only where it is not a number.
 
     Raises
     ------

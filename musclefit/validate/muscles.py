@@ -24,7 +24,7 @@ class MuscleMeasures:
 
     ``centreline_mm`` runs from end to end through the centres of the sections; ``largest_section_mm2`` is measured
     across it. ``gap_mm`` is the smallest distance to another tissue but the skin, ``neighbour`` that tissue: None where
-    nothing is within ``FAR_MM``, or where a surface is no solid.
+    nothing is within ``FAR_MM``, or where a surface is not a solid.
     """
 
     name: str

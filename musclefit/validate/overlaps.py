@@ -50,7 +50,7 @@ class SolidAnatomy:
     ----------
     anatomy : Anatomy
     solids : mapping of tissue name to Solid
-    refused : mapping of tissue name to the reason why its surface is no solid
+    refused : mapping of tissue name to the reason why its surface is not a solid
     known : dict
         What was measured of pairs already, so that a rest that is checked against many poses is measured once.
     """
@@ -62,7 +62,7 @@ class SolidAnatomy:
 
 
 def solid_anatomy(anatomy: Anatomy, *, progress: Progress) -> SolidAnatomy:
-    """Prepare every surface for booleans; a surface that is no solid is kept with the reason."""
+    """Prepare every surface for booleans; a surface that is not a solid is kept with the reason."""
     solids: dict[str, Solid] = {}
     refused: dict[str, str] = {}
     with progress.stage("solids") as tick:
@@ -171,7 +171,7 @@ def check_outside_skin(
     Returns
     -------
     OutsideCheck
-        Empty where there is no skin; without tissues, and with the reason, where the skin is no solid.
+        Empty where there is no skin; without tissues, and with the reason, where the skin is not a solid.
         A tissue that is wholly outside at rest introduces nothing.
 
     Raises
@@ -347,7 +347,7 @@ def _require_same_tissues(rest: Anatomy, deformed: Anatomy) -> None:
 
 
 def _refusals(names: Iterable[str], *states: tuple[SolidAnatomy, str]) -> tuple[NotChecked, ...]:
-    """One entry per tissue that is no solid, with the first state in which it is none."""
+    """One entry per tissue that is not a solid, with the first state in which it is none."""
     found = []
     for name in names:
         reasons = [f"{when}: {state.refused[name]}" for state, when in states if name in state.refused]

@@ -52,7 +52,7 @@ def check_tissues(
     unknown = [name for name in motions if name not in bones]
     if unknown:
         raise InputError(
-            f"a motion is prescribed for {unknown[0]!r}, which is no bone; bones are: {', '.join(sorted(bones))}"
+            f"a motion is prescribed for {unknown[0]!r}, which is not a bone; bones are: {', '.join(sorted(bones))}"
         )
     beyond = {tissue.name: tissue for tissue in outside.tissues}
     checks = []

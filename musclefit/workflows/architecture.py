@@ -144,7 +144,7 @@ class Architecture(Shown):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """All but meshes and lines; None stands for what is no finite number."""
+        """All but meshes and lines; None stands for what is not a finite number."""
         rows = {name: [_row(record) for record in records] for name, records in self.tables().items()}
         return {
             "schema_version": SCHEMA_VERSION,
@@ -421,6 +421,6 @@ def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:
 
 
 def _row(record: Any) -> dict[str, Any]:
-    """A record, or a mapping, with None for what is no finite number."""
+    """A record, or a mapping, with None for what is not a finite number."""
     values = asdict(record) if is_dataclass(record) and not isinstance(record, type) else dict(record)
     return {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in values.items()}

@@ -46,7 +46,7 @@ def init(rig: str | Path, *, anatomy: str | Path | None = None, joints: str | Pa
     if path.exists():
         raise InputError(f"{path} is there already, and is kept; name another file")
     if anatomy is not None and not Path(anatomy).is_dir():
-        raise InputError(f"{anatomy} is no folder; name the one that holds the surfaces")
+        raise InputError(f"{anatomy} is not a folder; name the one that holds the surfaces")
     names: Sequence[str] = ("knee",)
     if joints is not None:
         try:

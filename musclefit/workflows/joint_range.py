@@ -19,7 +19,7 @@ from musclefit.workflows.results import Shown
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
 class JointRanges(Shown):
-    """How far each joint of a rig can turn before bones run into each other, the others at rest."""
+    """How far each joint of a rig can turn before bones collide, the others at rest."""
 
     title: str
     ranges: tuple[JointRange, ...]
@@ -35,7 +35,7 @@ class JointRanges(Shown):
 
 
 def joint_range(rig: RigGiven, *, overrides: Sequence[str] = (), progress: Progress | None = None) -> JointRanges:
-    """Say how far each joint can turn before bones run into each other, both ways from rest, the others at rest.
+    """Say how far each joint can turn before bones collide, both ways from rest, the others at rest.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class Whole:
     Parameters
     ----------
     shares : Shares
-        A stage that does not come counts as done when a later one begins; one that is no part of them counts nothing.
+        A stage that does not come counts as done when a later one begins; one that is not part of them counts nothing.
     """
 
     def __init__(self, shares: Shares) -> None:

@@ -109,6 +109,6 @@ def _require_interpolation(path: Path, *, whole: bool, interpolation: Interpolat
     """InputError where values that cannot be labels would be treated as such."""
     if interpolation is Interpolation.NEAREST and not whole:
         raise InputError(
-            f"{path} holds fractions, so it is no label map; use --interpolation linear or cubic, or store it as "
+            f"{path} holds fractions, so it is not a label map; use --interpolation linear or cubic, or store it as "
             "integers"
         )

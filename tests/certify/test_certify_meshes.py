@@ -18,7 +18,7 @@ from musclefit.vocabulary import Claim
 
 
 def bent_bar(degrees: float, *, cells: int = 24) -> TetMesh:
-    """A long bar bent into a ring: beyond 360 degrees its ends run into each other, though no tet is inverted."""
+    """A long bar bent into a ring: beyond 360 degrees its ends collide, though no tet is inverted."""
     bar = block((cells, 2, 2))
     angle = np.radians(degrees) * bar.vertices[:, 0] / cells
     radius = cells / np.radians(degrees) + bar.vertices[:, 1]

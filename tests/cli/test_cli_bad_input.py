@@ -88,7 +88,7 @@ def case(*words: str) -> Callable[[Callable[[Place], Sequence[str]]], Callable[[
 # --- the rig file
 
 
-@case("tiny.toml", "is no valid TOML", "line 3")
+@case("tiny.toml", "is not valid TOML", "line 3")
 def broken_toml(at: Place) -> Sequence[str]:
     at.replace("[anatomy]", "[anatomy")
     at.rig.write_text(at.rig.read_text(encoding="utf-8").lstrip(), encoding="utf-8")
@@ -299,7 +299,7 @@ def flat_mesh(at: Place) -> Sequence[str]:
     return _rewritten(at, TISSUES["bone_distal"].vertices * (1, 1, 0), TISSUES["bone_distal"].faces)
 
 
-@case("{bone}", "no place of a body (at most 1e+09)", "units")
+@case("{bone}", "cannot be a place of a body (at most 1e+09)", "units")
 def absurd_coordinate(at: Place) -> Sequence[str]:
     return _rewritten(at, TISSUES["bone_distal"].vertices * 1e12, TISSUES["bone_distal"].faces)
 
@@ -620,7 +620,7 @@ def transform_that_is_not_finite(at: Place) -> Sequence[str]:
     return _with_transforms(at, _QUATERNIONS + "bone_distal,0,1,0,0,0,nan,0,0\n")
 
 
-@case("drive.transforms", "a coordinate of 1e+300 mm, which is no place of a body")
+@case("drive.transforms", "a coordinate of 1e+300 mm, which cannot be a place of a body")
 def huge_transform(at: Place) -> Sequence[str]:
     return _with_transforms(at, _QUATERNIONS + "bone_distal,0,1,0,0,0,1e300,0,0\n")
 

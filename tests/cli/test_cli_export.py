@@ -50,7 +50,7 @@ def test_quadratic_tetrahedra_and_old_gmsh_files_on_demand(run_folder: Path, tmp
     [
         ("tets.vtu", "out.feb", "the run made no tetrahedra"),
         ("report.json", "out.feb", "name the folder that a run wrote"),
-        ("", "out.xyz", "is no known format"),
+        ("", "out.xyz", "is not a known format"),
     ],
 )
 def test_what_cannot_be_exported_is_refused(

@@ -60,7 +60,7 @@ def test_what_is_there_is_kept_and_what_is_not_is_told(tmp_path: Path, capsys: p
     for arguments, words in (
         ([str(rig)], "is there already, and is kept"),
         ([str(tmp_path / "knee.txt")], "name one that ends in .toml"),
-        ([str(tmp_path / "new.toml"), "--anatomy", str(tmp_path / "none")], "is no folder"),
+        ([str(tmp_path / "new.toml"), "--anatomy", str(tmp_path / "none")], "is not a folder"),
         ([str(tmp_path / "new.toml"), "--joints", str(tmp_path / "none.json")], "cannot be read"),
     ):
         assert main(["init", *arguments]) == 2

@@ -55,7 +55,7 @@ def test_slips_are_told_before_the_long_work(image, tmp_path):
         warp_image("upper_limb", tmp_path / "x.nii", frame=Frame.RAS, out=tmp_path / "o.nii", quiet=True)
     floats = tmp_path / "floats.nii"
     write_volume(floats, np.full((3, 3, 3), 0.5, dtype=np.float32), Grid((3, 3, 3), np.eye(4)), description="")
-    with pytest.raises(InputError, match="holds fractions, so it is no label map"):
+    with pytest.raises(InputError, match="holds fractions, so it is not a label map"):
         warp_image(
             "upper_limb",
             floats,

@@ -61,7 +61,7 @@ def test_what_cannot_have_a_cage_is_named() -> None:
     surface = ball()
     with pytest.raises(InputError, match="a cage of 5 vertices is asked for; give from 20 to 2562"):
         cage_of(surface, vertices=5)
-    with pytest.raises(MeshError, match=r"the surface is no closed surface .*: 3 boundary edges"):
+    with pytest.raises(MeshError, match=r"the surface is not a closed surface .*: 3 boundary edges"):
         cage_of(TriMesh(surface.vertices, surface.faces[1:]), vertices=50)
     pulled = np.array(surface.vertices)
     pulled[0] *= -2.0

@@ -176,7 +176,7 @@ BAD = [
     (".k", b"hello\n", "holds no keyword"),
     (".k", b"*KEYWORD\n*END\n", "defines no node"),
     (".k", b"*KEYWORD\n*INCLUDE\nnodes.k\n", "it includes nodes.k"),
-    (".k", b"\0\0*NODE", "so it is no text"),
+    (".k", b"\0\0*NODE", "so it is not text"),
     (
         ".k",
         b"*NODE\n       1           &len             0.0             0.0\n",

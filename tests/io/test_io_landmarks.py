@@ -104,8 +104,8 @@ def test_prefixes_choose_the_columns(write):
         (CSV.replace("_mm", "_inch"), "column x_inch is in 'inch', an unknown unit; known are mm, cm, m"),
         (CSV.replace("bone", "x_cm"), "both x_cm and x_mm give x; remove one"),
         (CSV.replace("bone", "name"), "two columns are named name"),
-        (CSV.replace("5e1", "fifty"), "line 3: y_mm is 'fifty', which is no number"),
-        (CSV.replace("5e1", ""), "line 3: y_mm is '', which is no number"),
+        (CSV.replace("5e1", "fifty"), "line 3: y_mm is 'fifty', which is not a number"),
+        (CSV.replace("5e1", ""), "line 3: y_mm is '', which is not a number"),
         (CSV.replace("5e1", "nan"), "line 3: y_mm is nan, not finite"),
         (CSV.replace("5e1", "-inf"), "line 3: y_mm is -inf, not finite"),
         (CSV.replace("5e1", "5,1"), "line 3 has 6 values for 5 columns; correct it .numbers are written with a point"),
@@ -120,7 +120,7 @@ def test_prefixes_choose_the_columns(write):
             TARGETS.replace("11,20,30", "10,20,30"),
             r"landmarks 'a' and 'b' are sent to one place, \(100, 200, 300\) mm; no one-to-one map",
         ),
-        (CSV.encode().replace(b"wrist", b"h\xf6he"), "not UTF-8 text, byte 46 is no character"),
+        (CSV.encode().replace(b"wrist", b"h\xf6he"), "not UTF-8 text (byte 46 is not valid)"),
     ],
 )
 def test_what_is_wrong_with_a_csv_is_named(text, message, write):
@@ -178,7 +178,7 @@ def test_what_is_wrong_with_markups_is_named(text, message, write):
         (("id,x,y,z,", "id,x,y,w,"), "no column z; found are: id, x, y, w"),
         (("1,1,2,3,0", "1,1,2,3"), "line 4 has 13 values for 14 columns"),
         (("elbow", ""), "line 4 has no label"),
-        (("1,1,2,3,", "1,1,two,3,"), "line 4: y is 'two', which is no number"),
+        (("1,1,2,3,", "1,1,two,3,"), "line 4: y is 'two', which is not a number"),
     ],
 )
 def test_what_is_wrong_with_fcsv_is_named(change, message, write):
@@ -240,7 +240,7 @@ def test_two_point_lists_and_a_plane_alone_are_refused(write):
     two = json.dumps({"markups": [{**alone, "type": "Fiducial"}, {**alone, "type": "Fiducial"}]})
     with pytest.raises(LandmarkError, match=r"2 markups in one file; .* found are: Fiducial, Fiducial"):
         read_landmarks(write(two, "a.mrk.json"))
-    with pytest.raises(LandmarkError, match="its markup is a Plane, whose control points are no landmarks"):
+    with pytest.raises(LandmarkError, match="its markup is a Plane, whose control points are not landmarks"):
         read_landmarks(write(json.dumps({"markups": [{**alone, "type": "Plane"}]}), "a.mrk.json"))
     line = read_landmarks(write(json.dumps({"markups": [{**alone, "type": "Line"}]}), "a.mrk.json"))
     assert len(line) == len(alone["controlPoints"])

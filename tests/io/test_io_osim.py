@@ -80,7 +80,7 @@ def test_degrees_become_radians_and_lengths_stay_and_all_else_is_told() -> None:
     np.testing.assert_allclose(motion.values["knee"], np.deg2rad([0, -30, -60]), rtol=1e-15)
     np.testing.assert_array_equal(motion.values["tx"], [0, 0.01, 0.02])
     said = {finding.code: finding.message for finding in motion.findings}
-    assert said["unused-columns"] == "1 columns are no coordinates of the model: foo"
+    assert said["unused-columns"] == "1 columns are not coordinates of the model: foo"
     assert "a, b, c, flex, tilt" in said["coordinates-at-default"]
 
 

@@ -98,7 +98,7 @@ def test_points_in_metres_stay_in_metres(tmp_path: Path) -> None:
         ("a.txt", "1 2 3", "points are read from .csv, .fcsv"),
         ("a.csv", "name,u,v,w\na,1,2,3\n", "no columns x_mm, y_mm, z_mm"),
         ("a.csv", "x_mm,y_mm,z_mm\n", "has no point"),
-        ("a.csv", "x_mm,y_mm,z_mm\n1,2,x\n", "line 2: z_mm is 'x', which is no number"),
+        ("a.csv", "x_mm,y_mm,z_mm\n1,2,x\n", "line 2: z_mm is 'x', which is not a number"),
         ("a.csv", "", "an empty file"),
         ("a.mrk.json", "{", "broken JSON"),
     ],

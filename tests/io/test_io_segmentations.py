@@ -92,7 +92,7 @@ def test_one_bad_mask_never_refuses_the_rest(tmp_path: Path) -> None:
     assert "has 4 x 4 x 4 voxels" in told["b_other_image"]
     assert "4 different labels" in told["c_lps"]
     assert "as if one were LPS and the other RAS" in told["d_lps"]
-    assert "are no whole numbers" in told["e_probability"]
+    assert "are not whole numbers" in told["e_probability"]
 
 
 def test_masks_of_different_images_are_refused(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_bad_images_are_refused_in_words(tmp_path: Path) -> None:
         ("nowhere.nii", "states no orientation"),
         ("cut.nrrd", "cut short|cannot be read as NRRD"),
         ("apart.nrrd", "voxels are in another file"),
-        (bad_nrrd(tmp_path / "space.nrrd", space="scanner-xyz").name, "which is no frame of a patient"),
+        (bad_nrrd(tmp_path / "space.nrrd", space="scanner-xyz").name, "which is not a patient frame"),
         (bad_nrrd(tmp_path / "shear.nrrd", **{"space directions": shear}).name, "axes are 78.7 degrees apart"),
         (bad_nrrd(tmp_path / "units.nrrd", **{"space units": ["inch"] * 3}).name, "write mm"),
         (forms.write_nifti(tmp_path / "parts.nii", np.full((3, 3, 3), 0.5, np.float32)).name, "27 of 27 voxels are no"),

@@ -143,12 +143,12 @@ def test_labels_suit_every_format_and_differ_without_case() -> None:
 
 
 def test_what_cannot_be_written_is_refused_and_leaves_what_was_there(tets: LabelledTets, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"the ending '.stl' is no known format; use one of .feb, .inp, .msh, .vtu"):
+    with pytest.raises(InputError, match=r"the ending '.stl' is not a known format; use one of .feb, .inp, .msh, .vtu"):
         write_solver_file(tmp_path / "arm.stl", tets)
     (tmp_path / "folder.feb").mkdir()
     with pytest.raises(InputError, match="is a folder"):
         write_solver_file(tmp_path / "folder.feb", tets)
-    with pytest.raises(InputError, match="there is no folder"):
+    with pytest.raises(InputError, match="there is not a folder"):
         write_solver_file(tmp_path / "none" / "arm.feb", tets)
     with pytest.raises(InputError, match="no tetrahedron"):
         LabelledTets("none", tets.vertices, tets.tets[:0], tets.tissue_of_tet[:0], NAMES)

@@ -149,7 +149,7 @@ CSV_ERRORS = {
         r"'times_s' is unknown; did you mean 'time_s'",
     ),
     "a column twice": (csv_matrix().replace("m01", "m00"), r"(two columns are named m00|no column m01)"),
-    "words": (csv_matrix(time="now"), r"line 2: time_s is 'now', which is no number"),
+    "words": (csv_matrix(time="now"), r"line 2: time_s is 'now', which is not a number"),
     "nan": (csv_matrix(time="nan"), r"line 2: time_s is nan, not finite"),
     "infinite": (csv_matrix().replace("1.0\n", "inf\n"), r"line 2: m33 is inf, not finite"),
     "overflow": (csv_matrix().replace("1.0\n", "1e999\n"), r"line 2: m33 is 1e999, not finite"),
@@ -230,9 +230,9 @@ def test_a_wrong_object_is_refused_by_its_key(name: str) -> None:
 def test_files_that_cannot_be_read_are_refused() -> None:
     with pytest.raises(InputError, match=r"^f.tfm: has suffix '.tfm'; expected .json or .csv"):
         read("", "f.tfm")
-    with pytest.raises(InputError, match=r"^f.csv: is not UTF-8 text, byte 5"):
+    with pytest.raises(InputError, match=r"^f.csv: is not UTF-8 text \(byte 5"):
         parse_transforms(b"bone,\xff", source="f.csv", units=Unit.METRE)
-    with pytest.raises(InputError, match=r"^f.json: is no valid JSON"):
+    with pytest.raises(InputError, match=r"^f.json: is not valid JSON"):
         read("{", "f.json")
 
 

@@ -105,7 +105,7 @@ def test_a_marker_at_zero_is_lost_and_no_part_of_its_mean(tmp_path: Path) -> Non
         ("\t2\t3\tm\t", "\ttwo\t3\tm\t", "NumFrames is two, no whole number"),
         ("\t2\t3\tm\t", "\t2\t3\tfeet\t", "Units is 'feet'; known are mm, cm, m"),
         ("7\t8\t9", "\t\t", "marker 'TOE' is in no frame"),
-        ("0.01\t0.1", "0.01\tx.1", r"line 8: 'x.1' is no number"),
+        ("0.01\t0.1", "0.01\tx.1", r"line 8: 'x.1' is not a number"),
         ("7\t8\t9", "7\t8\t9\t10", r"line 8 has 10 coordinates, not 9"),
         ("KNEE", "ASIS", "two landmarks are named 'ASIS'"),
     ],

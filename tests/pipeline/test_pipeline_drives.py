@@ -138,7 +138,7 @@ def colliding(tmp_path: Path) -> Path:
 
 def test_a_transform_into_another_bone_is_refused_by_its_place_on_the_way(colliding: Path) -> None:
     job = musclefit.read_rig(colliding, overrides=(*RIGID, "drive.time_s=1"))
-    said = r"run into each other at [\d.]+ % of the way: .* mm deep, sharing .*feasible pose .*correct where"
+    said = r"collide at [\d.]+ % of the way: .* mm deep, sharing .*feasible pose .*correct where"
     with pytest.raises(InputError, match=said):
         musclefit.retarget(job, tets=None)
 
@@ -165,7 +165,7 @@ def test_landmarks_into_another_bone_are_refused(tmp_path: Path) -> None:
     for row in rows[7:]:
         row[5:8] = [repr(float(row[2]) - 30.0), *row[3:5]]
     write_landmarks(rig.with_name("landmarks.csv"), rows)
-    with pytest.raises(InputError, match=r"run into each other at .* % of the way.*correct where the bones are sent"):
+    with pytest.raises(InputError, match=r"collide at .* % of the way.*correct where the bones are sent"):
         musclefit.retarget(musclefit.read_rig(rig, overrides=RIGID), tets=None)
 
 
@@ -174,7 +174,7 @@ def test_a_frame_whose_bones_collide_is_refused_and_the_others_are_made(collidin
     report = run_sequence(planned(job), tmp_path / "out")
     assert [frame.outcome for frame in report.frames] == ["made", "refused", "made"]
     said = report.frames[1].problem
-    assert said.startswith("frame 1 at 1 s is refused: bones 'bone_distal' and 'bone_proximal' run into each other at")
+    assert said.startswith("frame 1 at 1 s is refused: bones 'bone_distal' and 'bone_proximal' collide at")
     assert "% of the way: " in said
     assert "mm deep, sharing" in said
     assert "the largest feasible pose on this way is" in said

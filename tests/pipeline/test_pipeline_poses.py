@@ -42,7 +42,7 @@ def posed(rig: Path, degrees: float, *more: str) -> Job:
 
 
 def test_a_forbidden_pose_is_refused_before_the_soft_tissue_is_touched(rig: Path) -> None:
-    with pytest.raises(InputError, match=r"'bone_distal' and 'bone_proximal' run into each other at elbow 145") as told:
+    with pytest.raises(InputError, match=r"'bone_distal' and 'bone_proximal' collide at elbow 145") as told:
         musclefit.retarget(posed(rig, 170), tets=None)
     said = str(told.value)
     assert re.search(

@@ -145,11 +145,11 @@ def test_measures_come_as_rows() -> None:
 
 
 def test_the_page_escapes_names_and_says_what_failed() -> None:
-    refused = replace(frame(1, 0.0), outcome="refused", problem="bones <a> run into each other", checks=(), muscles=())
+    refused = replace(frame(1, 0.0), outcome="refused", problem="bones <a> collide", checks=(), muscles=())
     page = render_sequence(report(frame(0, 1e-9), refused, frame(2, 2e-6)), pictures={}, problems="no screen")
     assert "A &lt;motion&gt;" in page
     assert "<b>" not in page
-    assert "bones &lt;a&gt; run into each other" in page
+    assert "bones &lt;a&gt; collide" in page
     assert "✗ Failed" in page
     assert "no screen" in page
     assert page.count('<svg class="curves"') == 1 + 5

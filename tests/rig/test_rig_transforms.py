@@ -237,7 +237,7 @@ def test_deviations_are_told_with_the_worst() -> None:
     given = [Given("b", 0.5, "line 2", turned(1.0), 1e-16), Given("b", 0.6, "line 3", turned(1.0), 2e-4)]
     (finding,) = BoneTransforms.of(given, source="in/f.csv").findings
     assert finding.code == "projected-rotation"
-    assert "1 of 2 transforms are no rotations exactly" in finding.message
+    assert "1 of 2 transforms are not exactly rotations" in finding.message
     assert "bone 'b' at 0.6 s (line 3): off by 0.0002, 0.2 mm at 1 m" in finding.message
 
 

@@ -1,4 +1,4 @@
-"""Bones that run into each other: true depth, limits by the bones' size, what rides along from rest, feasible poses."""
+"""Bones that collide: true depth, limits by the bones' size, what rides along from rest, feasible poses."""
 
 from __future__ import annotations
 

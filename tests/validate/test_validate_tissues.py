@@ -113,7 +113,7 @@ def test_a_tissue_turned_inside_out_loses_more_than_all_its_volume() -> None:
 
 def test_wrong_input_is_refused_by_name() -> None:
     rest = limb()
-    with pytest.raises(InputError, match="prescribed for 'vastus', which is no bone; bones are: femur, tibia"):
+    with pytest.raises(InputError, match="prescribed for 'vastus', which is not a bone; bones are: femur, tibia"):
         check_tissues(rest, rest, motions={"vastus": TURN}, outside=NOTHING_OUTSIDE)
     with pytest.raises(InputError, match="differ in: femur"):
         check_tissues(rest, Anatomy(rest.tissues[:2] + rest.tissues[3:], "x"), motions={}, outside=NOTHING_OUTSIDE)

@@ -157,7 +157,7 @@ def resolved(
     Raises
     ------
     MeshError
-        A surface is no closed oriented 2-manifold.
+        A surface is not a closed oriented 2-manifold.
     InputError
         A tissue would lose all it has.
     """

@@ -105,7 +105,7 @@ class SaddleFactor:
         return weights, coefficients
 
     def _gain(self) -> float:
-        """What is left of some data after one solution; infinite when that is no number."""
+        """What is left of some data after one solution; infinite when that is not a number."""
         data = np.cos(np.arange(len(self._columns)) ** 2.0)[:, None]
         left = float(np.abs(self._solve_once(data)[2]).max())
         return left if np.isfinite(left) else np.inf

@@ -43,7 +43,7 @@ def united(parts: Sequence[TriMesh], *, smooth_within_mm: float) -> TriMesh:
     Raises
     ------
     MeshError
-        A part is no closed oriented 2-manifold.
+        A part is not a closed oriented 2-manifold.
     """
     solids = [as_manifold(part) for part in parts]
     return as_mesh(manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).simplify(smooth_within_mm))
@@ -120,7 +120,7 @@ def as_manifold(mesh: TriMesh) -> Any:
     Raises
     ------
     MeshError
-        It is no closed oriented 2-manifold.
+        It is not a closed oriented 2-manifold.
     """
     vertices = np.array(mesh.vertices, dtype=np.float64, order="C")
     manifold = manifold3d.Manifold(manifold3d.Mesh64(vertices, np.array(mesh.faces, dtype=np.uint64, order="C")))

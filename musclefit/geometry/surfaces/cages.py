@@ -157,7 +157,7 @@ def _require_sound(mesh: TriMesh, *, what: str) -> None:
     edges = edges_of(mesh.faces[~repeats_a_vertex(mesh.faces)])
     if len(edges.odd) or len(edges.non_manifold) or len(edges.unbalanced):
         raise MeshError(
-            f"{what} is no closed surface with two faces at each edge: {len(edges.boundary)} boundary edges, "
+            f"{what} is not a closed surface with two faces at each edge: {len(edges.boundary)} boundary edges, "
             f"{len(edges.non_manifold)} with more than two faces; repair it in a mesh editor"
         )
     if enclosed_volume(mesh) <= 0.0:

@@ -30,7 +30,7 @@ def read_displacements(path: Path, *, shape: tuple[int, int, int], units: Unit) 
     Raises
     ------
     LandmarkError
-        Columns that are missing, values that are no numbers, a control point that the lattice does not have, or that
+        Columns that are missing, values that are not numbers, a control point that the lattice does not have, or that
         is moved twice; the message names the line.
     """
     text = read_text(path, error=LandmarkError)

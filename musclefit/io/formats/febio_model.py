@@ -76,7 +76,7 @@ class FebioModel:
     def __post_init__(self) -> None:
         unknown = sorted(set(self.motions) - set(self.names.values()))
         if not self.motions or unknown:
-            found = f"{unknown[0]!r} is no tissue of the tetrahedra" if unknown else "no tissue is a rigid bone"
+            found = f"{unknown[0]!r} is not a tissue of the tetrahedra" if unknown else "no tissue is a rigid bone"
             raise InputError(f"the model needs rigid bones; found that {found}: name the kinds in [anatomy.kinds]")
         owner: dict[int, int] = {}
         for number, group in enumerate(self.bodies):

@@ -170,7 +170,7 @@ def _read_nrrd(path: Path) -> LabelImage:
     space = str(header.get("space", "")).lower()
     if space not in _SPACES:
         raise InputError(
-            f"{path}: its header says space {space or 'nothing'!r}, which is no frame of a patient; save it from 3D "
+            f"{path}: its header says space {space or 'nothing'!r}, which is not a patient frame; save it from 3D "
             "Slicer, or write space: left-posterior-superior or right-anterior-superior"
         )
     spatial = np.isfinite(directions).all(axis=1) if directions.size else np.zeros(0, dtype=bool)
@@ -236,8 +236,8 @@ def _layers(path: Path, data: NDArray[Any]) -> NDArray[Any]:
     if wrong.any():
         some = ", ".join(f"{value:g}" for value in data[wrong].ravel()[:3])
         raise InputError(
-            f"{path}: {int(wrong.sum())} of {data.size} voxels are no whole numbers, such as {some}; labels are whole: "
-            "take each voxel's label (of probabilities, those above one half), or resample with the nearest voxel"
+            f"{path}: {int(wrong.sum())} of {data.size} voxels are not whole numbers, such as {some}; labels are whole "
+            "numbers: take each voxel's label (of probabilities, those above one half), or resample by nearest voxel"
         )
     if np.abs(data).max(initial=0) > 2**53:
         raise InputError(

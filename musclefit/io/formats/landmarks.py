@@ -116,7 +116,7 @@ def read_landmarks(
     InputError
         No such file, or an ending that is not read.
     LandmarkError
-        A missing column, an unknown unit, a value that is no number, broken JSON, or what `LandmarkTable` refuses.
+        A missing column, an unknown unit, a value that is not a number, broken JSON, or what `LandmarkTable` refuses.
     """
     path = Path(path)
     name = path.name.lower()
@@ -330,7 +330,7 @@ def _one_point_list(markups: list[dict[str, Any]], path: Path) -> tuple[dict[str
     kind = str(markups[chosen].get("type", _POINT_LIST))
     if kind not in _POINT_KINDS:
         raise LandmarkError(
-            f"{path}: its markup is a {kind}, whose control points are no landmarks; save a point list from Slicer"
+            f"{path}: its markup is a {kind}, whose control points are not landmarks; save a point list from Slicer"
         )
     others = [str(markup.get("type", "?")) for number, markup in enumerate(markups) if number != chosen]
     said = f"{path.name}: its point list was read; {len(others)} other markups were passed over: {', '.join(others)}"

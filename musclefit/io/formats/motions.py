@@ -30,7 +30,7 @@ def read_motion(path: str | Path) -> Motion:
     Raises
     ------
     InputError
-        The file cannot be read, another column, a value that is no finite number, or what `Motion` refuses; the
+        The file cannot be read, another column, a value that is not a finite number, or what `Motion` refuses; the
         message names file, line and column.
     """
     path = Path(path)

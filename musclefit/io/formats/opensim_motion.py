@@ -52,7 +52,7 @@ def parse_opensim_motion(data: bytes, multibody: Multibody, *, source: str) -> C
     Raises
     ------
     InputError
-        No header, another number of rows or columns than it says, a value that is no number, times that do not rise,
+        No header, another number of rows or columns than it says, a value that is not a number, times that do not rise,
         angles without a unit, or no column that is a coordinate of the model.
     """
     lines = decoded(data, source).splitlines()
@@ -167,7 +167,7 @@ def range_findings(of: Coordinate, values: Float, source: str) -> list[Finding]:
 def _name_findings(columns: Mapping[str, int], unused: list[str], multibody: Multibody, source: str) -> list[Finding]:
     name, findings = Path(source).name, []
     if unused:
-        message = f"{len(unused)} columns are no coordinates of the model: {', '.join(unused)}"
+        message = f"{len(unused)} columns are not coordinates of the model: {', '.join(unused)}"
         findings.append(Finding(name, "unused-columns", message))
     coupled = {coupler.dependent for coupler in multibody.couplers}
     still = [c for c in multibody.coordinates if c not in columns and c not in coupled]

@@ -105,10 +105,10 @@ def _strip_faces(strips: _Column, source: str) -> Faces:
 def _indices(values: NDArray[Any], source: str) -> Int:
     """Whole numbers; MeshError where the file stores others."""
     if values.dtype.kind == "f" and not (np.isfinite(values) & (np.abs(values) < 2**53)).all():
-        raise MeshError(f"{source}: a face has a corner that is no whole number; {WAY_OUT}")
+        raise MeshError(f"{source}: a face has a corner that is not a whole number; {WAY_OUT}")
     whole: Int = values.astype(np.int64)
     if (whole != values).any():
-        raise MeshError(f"{source}: a face has a corner that is no whole number; {WAY_OUT}")
+        raise MeshError(f"{source}: a face has a corner that is not a whole number; {WAY_OUT}")
     return whole
 
 
@@ -147,7 +147,7 @@ def _require_different(names: list[str], what: str, source: str) -> None:
 
 def _count(word: bytes) -> int:
     if not word.isdigit():
-        raise ValueError(f"{word!r} is no count")
+        raise ValueError(f"{word!r} is not a count")
     return int(word)
 
 
@@ -290,7 +290,7 @@ class _Ascii:
 
     def _whole(self, numbers: Float, element: _Element) -> Int:
         if not ((np.abs(numbers) < 2**53).all() and (numbers == np.floor(numbers)).all()):
-            raise MeshError(f"{self._source}: a {element.name} has an index that is no whole number; {WAY_OUT}")
+            raise MeshError(f"{self._source}: a {element.name} has an index that is not a whole number; {WAY_OUT}")
         return numbers.astype(np.int64)
 
     def _take(self, count: int, element: _Element) -> Float:
@@ -305,5 +305,5 @@ class _Ascii:
             return np.array(words, dtype=object).astype(np.float64)
         except ValueError as error:
             raise MeshError(
-                f"{self._source}: a {element.name} has a value that is no number ({error}); {WAY_OUT}"
+                f"{self._source}: a {element.name} has a value that is not a number ({error}); {WAY_OUT}"
             ) from error

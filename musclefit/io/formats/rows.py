@@ -83,7 +83,7 @@ class Rows:
                     values[i, k] = float(cells[column])
                 except ValueError as error:
                     raise LandmarkError(
-                        f"{self.path}: line {line}: {headings[k]} is {cells[column]!r}, which is no number (numbers "
+                        f"{self.path}: line {line}: {headings[k]} is {cells[column]!r}, which is not a number (numbers "
                         "are written with a point); correct it"
                     ) from error
                 if not np.isfinite(values[i, k]):

@@ -152,11 +152,11 @@ def write_solver_file(path: Path, tets: LabelledTets, *, msh: MshVersion = MshVe
 def check_solver_path(path: Path) -> None:
     """Refuse, before reading, a path that nothing could be written to: InputError."""
     if path.suffix.lower() not in FORMATS:
-        raise InputError(f"{path}: the ending {path.suffix!r} is no known format; use one of {', '.join(FORMATS)}")
+        raise InputError(f"{path}: the ending {path.suffix!r} is not a known format; use one of {', '.join(FORMATS)}")
     if path.is_dir():
         raise InputError(f"{path} is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}; make it first")
+        raise InputError(f"{path}: there is not a folder {path.parent}; make it first")
 
 
 def _write_febio(path: Path, tets: LabelledTets) -> None:

@@ -119,7 +119,7 @@ def read_obj(data: bytes, source: str) -> Polygons:
             polygons.append(_obj_corners(words[1:], f"{source}: line {number}", len(vertices) // 3))
         elif words[0].decode("latin-1") not in _OBJ_IGNORED:
             raise MeshError(
-                f"{source}: line {number}: {words[0][:20].decode('latin-1')!r} is no statement of a polygonal OBJ; "
+                f"{source}: line {number}: {words[0][:20].decode('latin-1')!r} is not a statement of a polygonal OBJ; "
                 "the file is not OBJ, is damaged, or holds curved surfaces: export it as triangles"
             )
     points = _numbers(np.array(vertices, dtype=object), source, what="a vertex").reshape(-1, 3)
@@ -136,7 +136,7 @@ def _obj_corners(words: list[bytes], place: str, known: int) -> list[int]:
     try:
         indices = [int(word.split(b"/", 1)[0]) for word in words]
     except ValueError as error:
-        raise MeshError(f"{place}: a face has a corner that is no whole number ({error}); {WAY_OUT}") from error
+        raise MeshError(f"{place}: a face has a corner that is not a whole number ({error}); {WAY_OUT}") from error
     if max(map(abs, indices), default=0) > _LARGEST_INDEX:
         raise MeshError(f"{place}: a face refers to vertex {str(max(indices, key=abs))[:24]}...; {WAY_OUT}")
     if 0 in indices:

@@ -31,9 +31,9 @@ def parse_toml(data: bytes, *, source: str) -> dict[str, Any]:
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise RigError(f"{source}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
+        raise RigError(f"{source}: is not UTF-8 text (byte {error.start} is not valid); save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
-        raise RigError(f"{source}: is no valid TOML: {error}") from None
+        raise RigError(f"{source}: is not valid TOML: {error}") from None
     except RecursionError:
         raise RigError(f"{source}: is nested too deeply to be read") from None
     except ValueError as error:  # a number with more digits than Python converts
@@ -45,10 +45,10 @@ def parse_json(data: bytes, *, source: str) -> dict[str, Any]:
     try:
         read = json.loads(data.decode("utf-8-sig"), object_pairs_hook=lambda pairs: _unique(pairs, source=source))
     except UnicodeDecodeError as error:
-        raise RigError(f"{source}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
+        raise RigError(f"{source}: is not UTF-8 text (byte {error.start} is not valid); save it as UTF-8") from None
     except json.JSONDecodeError as error:
         raise RigError(
-            f"{source}: is no valid JSON: {error.msg} (at line {error.lineno}, column {error.colno})"
+            f"{source}: is not valid JSON: {error.msg} (at line {error.lineno}, column {error.colno})"
         ) from None
     except RecursionError:
         raise RigError(f"{source}: is nested too deeply to be read") from None

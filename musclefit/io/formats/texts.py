@@ -11,7 +11,7 @@ from musclefit.geometry.arrays import Points
 from musclefit.vocabulary import Unit
 
 LARGEST_MM = 1e9
-"""A coordinate beyond this, mm, is no place of a body: a thousand kilometres; its squares would still be numbers."""
+"""A coordinate beyond this, mm, cannot belong to a body: a thousand kilometres; its squares would still be finite."""
 
 
 def read_text(path: Path, *, error: type[InputError] = InputError) -> str:
@@ -38,15 +38,15 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(data: bytes, source: str, *, error: type[InputError] = InputError) -> str:
-    """The text that bytes in UTF-8 hold; ``error`` names the first byte that is no character."""
+    """The text that bytes in UTF-8 hold; ``error`` names the first byte that is not a character."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        raise error(f"{source}: is not UTF-8 text, byte {problem.start} is no character; save it as UTF-8") from None
+        raise error(f"{source}: is not UTF-8 text (byte {problem.start} is not valid); save it as UTF-8") from None
 
 
 def in_mm(positions: Points, units: Unit, *, source: str, error: type[InputError] = InputError) -> Points:
-    """Positions of a file in mm; ``error`` where one is finite and so large that it is no place of a body.
+    """Positions of a file in mm; ``error`` where one is finite and so large that it cannot be a place of a body.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def in_mm(positions: Points, units: Unit, *, source: str, error: type[InputError
     if large.any():
         found = positions[large].flat[0]
         raise error(
-            f"{source}: has a coordinate of {found:.6g} {units}, which is no place of a body (at most "
+            f"{source}: has a coordinate of {found:.6g} {units}, which cannot be a place of a body (at most "
             f"{LARGEST_MM / units.in_mm:.0e}); the file is damaged or its units are wrong"
         )
     return scaled

@@ -57,8 +57,8 @@ def parse_transforms(data: bytes, *, source: str, units: Unit) -> BoneTransforms
     Raises
     ------
     InputError
-        A file that cannot be read, an unknown column or key, a value that is no finite number, a matrix or quaternion
-        that is no rotation, or what `BoneTransforms` refuses; the message names place, bone and time.
+        A file that cannot be read, an unknown column or key, a value that is not finite, a matrix or quaternion
+        that is not a rotation, or what `BoneTransforms` refuses; the message names place, bone and time.
     """
     suffix = Path(source).suffix.lower()
     if suffix == ".json":
@@ -90,7 +90,7 @@ def _of_csv(data: bytes, *, source: str, units: Unit) -> BoneTransforms:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{source}: is not UTF-8 text, byte {error.start} is no character; save it as UTF-8") from None
+        raise InputError(f"{source}: is not UTF-8 text (byte {error.start} is not valid); save it as UTF-8") from None
     if not text.strip():
         raise InputError(f"{source}: is empty; expected the columns {BONE}, {TIME} and m00 to m33")
     rows = Rows.of_csv(text, path, key=BONE)

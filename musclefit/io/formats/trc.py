@@ -195,7 +195,7 @@ def _frame(line: str, number: int, source: str, n_markers: int) -> Points:
         try:
             values[k] = float(cell) if cell else np.nan
         except ValueError:
-            raise LandmarkError(f"{source}: line {number}: {cell!r} is no number; correct it") from None
+            raise LandmarkError(f"{source}: line {number}: {cell!r} is not a number; correct it") from None
     found = values.reshape(-1, 3)
     found[~np.isfinite(found).all(axis=1)] = np.nan
     return found

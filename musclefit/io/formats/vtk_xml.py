@@ -228,7 +228,7 @@ class VtkFile:
             raise self.damaged(f"its {section} have {len(found)} arrays named {name}")
         values = self._values(found[0], f"{section} {name}")
         if values.dtype.kind not in "iu" or (values.dtype.kind == "u" and values.size and values.max() > 2**63 - 1):
-            raise self.damaged(f"the {name} of its {section} are no indices")
+            raise self.damaged(f"the {name} of its {section} are not indices")
         if count is not None and values.size != count:
             raise self.damaged(f"states {count} {section}, but holds {values.size} {name} of them")
         return values.astype(np.int64)
@@ -251,7 +251,7 @@ class VtkFile:
         """The numbers of an array; flat, or (rows, ``components``)."""
         said = element.attributes.get("type", "")
         if said not in _DTYPES:
-            raise self.damaged(f"{name} are of type {said[:20]!r}, which are no numbers")
+            raise self.damaged(f"{name} are of type {said[:20]!r}, which are not numbers")
         dtype = np.dtype(self._order + _DTYPES[said])
         way = element.attributes.get("format", "ascii")
         if way == "ascii":

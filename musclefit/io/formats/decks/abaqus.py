@@ -79,7 +79,7 @@ def parse_abaqus(data: bytes, *, source: str) -> Deck:
     Raises
     ------
     InputError
-        No deck, no node, a node that is defined twice or whose coordinates are no numbers, or a keyword that makes or
+        No deck, no node, a node that is defined twice or whose coordinates are not numbers, or a keyword that makes or
         places nodes in another way; the message names the line.
     """
     lines = Lines(data, source)

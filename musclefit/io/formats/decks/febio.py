@@ -145,7 +145,7 @@ def parse_febio(data: bytes, *, source: str) -> Deck:
     Raises
     ------
     InputError
-        No XML, no FEBio file, no node, a node that is defined twice or whose coordinates are no numbers, entities, or
+        No XML, no FEBio file, no node, a node that is defined twice or whose coordinates are not numbers, entities, or
         parts that are placed by instances; the message names the line.
     """
     if not data.strip():

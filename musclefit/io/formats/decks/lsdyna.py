@@ -89,7 +89,7 @@ def parse_lsdyna(data: bytes, *, source: str) -> Deck:
     Raises
     ------
     InputError
-        No deck, no node, a node that is defined twice or whose coordinates are no numbers, or a keyword that makes
+        No deck, no node, a node that is defined twice or whose coordinates are not numbers, or a keyword that makes
         nodes in another way; the message names the line.
     """
     lines = Lines(data, source)

@@ -83,7 +83,7 @@ class Lines:
         if not data.strip():
             raise InputError(f"{source}: an empty deck; export it again")
         if b"\0" in data:
-            raise InputError(f"{source}: holds bytes of value 0, so it is no text; export the deck as text")
+            raise InputError(f"{source}: holds bytes of value 0, so it is not text; export the deck as text")
         self.source = source
         self.lines = data.decode("latin-1").split("\n")
 
@@ -119,7 +119,7 @@ def number_in(text: str) -> float:
     Raises
     ------
     ValueError
-        It is no finite number.
+        It is not a finite number.
     """
     plain = text.strip()
     if not plain:

@@ -108,8 +108,8 @@ class Map(Part):
     place_mm: Place = _says("The worst place, in rest positions, mm.")
     boxes_examined: Count = _says("Boxes of space that the proof examined; 0 where none was tried.")
     boxes_left: Count = _says("Boxes that it could not decide.")
-    gap_mm: Number = _says("No place of the surfaces is farther from a tested point, mm; null where it is not known.")
-    not_covered: list[str] = _says("Files of attached points that a certified claim does not speak of.")
+    gap_mm: Number = _says("No point of the surfaces is farther from a tested point, mm; null where unknown.")
+    not_covered: list[str] = _says("Files of attached points that a certified claim does not cover.")
 
 
 class FieldResidual(Part):
@@ -122,10 +122,10 @@ class FieldResidual(Part):
 class Bones(Part):
     """How well the field agrees with the bones, which themselves are moved exactly."""
 
-    contact_zone_mm: Number = _says("Places of a bone that come closer than this to one that moves otherwise, mm.")
+    contact_zone_mm: Number = _says("Distance between bones that move differently below which the field may slip, mm.")
     exposed_vertices: Count = _says("The bones' own vertices outside the contact zone.")
     exposed_samples: Count = _says("Places of the exposed surface between those where the field is held.")
-    gap_mm: Number = _says("No place of that surface is farther from one of these, mm; null where it is not known.")
+    gap_mm: Number = _says("No point of that surface is farther from one of these, mm; null where unknown.")
     contact_vertices: Count = _says("Samples inside it, where the field may slip along the bone.")
     field_residual_mm: FieldResidual = _says("Distance of the field from the rigid motion at the exposed samples.")
     contact_residual_max_mm: Number = _says(
@@ -170,7 +170,7 @@ class MovedAside(Part):
 
     name: str = _says("Name of the tissue.")
     vertices: Count = _says("Of its tetrahedra; those that tissues share count for each.")
-    farthest_mm: Number = _says("The farthest from where the map, or a held bone's motion, takes it, mm.")
+    farthest_mm: Number = _says("Largest distance from where the map, or a held bone's motion, takes it, mm.")
 
 
 class LeftOut(Part):
@@ -186,13 +186,13 @@ class Refinement(Part):
     rounds: Count = _says("Rounds of splitting edges.")
     edges_split: Count = _says("Edges split; all tetrahedra around each were cut in two.")
     tets_before: Count = _says("Tetrahedra before.")
-    inverted_before: Count = _says("Of these, how many came out inverted or flat.")
+    inverted_before: Count = _says("Of these, how many were inverted or flat.")
     crossings_before: Count = _says("Crossing pairs of boundary triangles, counted where no tetrahedron was inverted.")
     cut_by_tissue: list[CutIn] = _says("Where tetrahedra were cut.")
     stopped: str = _says("Which bound ended the rounds before all was well; empty when all was.")
     moving_rounds: Count = _says("Rounds of moving vertices aside.")
     moved_aside: list[MovedAside] = _says("Vertices moved off the map by more than 0.01 mm.")
-    left_out: LeftOut = _says("Filler between held bones that had no valid place.")
+    left_out: LeftOut = _says("Filler between held bones for which no valid position was found.")
 
 
 class Mesh(Part):
@@ -209,15 +209,15 @@ class Mesh(Part):
     )
     inverted_by_tissue: list[InvertedIn] = _says("Where the inverted tetrahedra are.")
     theorem: str = _says("What is proved, and from what; empty unless certified.")
-    surfaces: str = _says("How the original surfaces ride along, of which the claim does not speak.")
+    surfaces: str = _says("How the original surfaces are moved; the claim does not cover them.")
     note: str = _says("Why it is not certified; empty when it is.")
     boundary_faces: Count = _says("Triangles of the mesh's boundary.")
     crossings: Count = _says("Pairs of boundary triangles that cross or touch.")
     crossing_tissues: list[CrossingTissues] = _says("Behind which tissues those pairs are.")
     worst: list[Tetrahedron] = _says("The tetrahedra with the smallest volume ratios, inverted ones first.")
     straight_fraction: Number = _says(
-        "How far all vertices may go straight from rest to where they are before a tetrahedron is flat: a proved "
-        "fraction, 1 for all the way."
+        "How far all vertices can move in straight lines from rest to their positions before a tetrahedron is flat: a "
+        "proved fraction, 1 for the whole way."
     )
     refinement: Refinement | None = _says(
         "How tetrahedra were cut finer; null where nothing had to be cut, or nothing should be."
@@ -239,7 +239,7 @@ class TissueFit(Part):
     surface_mm3: Number = _says(f"Volume that the given surface encloses, mm³; {_NO_FILLER}.")
     inside_mm3: Number = _says(f"Volume of all tetrahedra inside the given surface, mm³; {_NO_FILLER}.")
     volume_error_percent: Number = _says(f"How much more these fill than the surface encloses, percent; {_NO_FILLER}.")
-    yielded_mm3: Number = _says(f"Volume inside the surface that tissues won that come first, mm³; {_NO_FILLER}.")
+    yielded_mm3: Number = _says(f"Volume inside the surface given to tissues of higher priority, mm³; {_NO_FILLER}.")
     envelope_mm: Number = _says(f"How far the tetrahedra's surface may be from the given one, mm; {_NO_FILLER}.")
     off_mm: Number = _says(
         f"Largest distance of the tetrahedra's surface from the given one, sampled, mm; {_NO_FILLER}."
@@ -257,11 +257,11 @@ class Tets(Part):
 
     tets: Count = _says("Tetrahedra.")
     vertices: Count = _says("Their vertices.")
-    left_out: Count = _says("Tetrahedra made that lie in no tissue.")
-    turned: Count = _says("Tetrahedra that came left-handed and had two corners swapped.")
+    left_out: Count = _says("Tetrahedra discarded because they lie in no tissue.")
+    turned: Count = _says("Left-handed tetrahedra in which two corners were swapped.")
     joint_space: LeftOut = _says("Filler between bones that slide past each other, left out of the mesh.")
     tissues: list[TissueFit] = _says(
-        "What each tissue got of the mesh; the skin stands for all, the filler for the rest."
+        "The part of the mesh that each tissue has; the skin stands for all of it, the filler for the rest."
     )
 
 
@@ -293,7 +293,7 @@ class OverlapVolumes(Part):
     rest_mm3: Number = _says("Volume of the intersection at rest, mm³.")
     deformed_mm3: Number = _says("Volume of the intersection after the deformation, mm³.")
     introduced_mm3: Number = _says(
-        "Deformed overlap beyond the rest overlap carried along by the map, mm³; never below 0."
+        "Deformed overlap beyond the image of the rest overlap under the map, mm³; never below 0."
     )
 
 
@@ -311,9 +311,11 @@ class BoneOverlap(Part):
     b: str = _says("The other.")
     rest_mm3: Number = _says("Volume of their intersection at rest, mm³.")
     posed_mm3: Number = _says("Volume of their intersection where their motions put them, mm³.")
-    beyond_mm3: Number = _says("Of it, what is beyond the intersection at rest carried along, mm³.")
-    beyond_limit_mm3: Number = _says("How much of that is not yet a collision, by the size of the smaller bone, mm³.")
-    depth_mm: Number = _says("How deep its places lie below the surface of either bone, at most, mm.")
+    beyond_mm3: Number = _says("The part of it beyond the mapped intersection at rest, mm³.")
+    beyond_limit_mm3: Number = _says(
+        "How much of that does not count as a collision, by the size of the smaller bone, mm³."
+    )
+    depth_mm: Number = _says("Largest depth below the surface of either bone, mm.")
     depth_limit_mm: Number = _says("How deep does not count as a collision, by the size of the smaller bone, mm.")
 
 
@@ -333,9 +335,9 @@ class Finding(Part):
 
 
 class Check(Part):
-    """One limit held against one number."""
+    """One value checked against its limit."""
 
-    name: str = _says("What is held against the limit.")
+    name: str = _says("What is checked.")
     value: Number = _says("The value found; null where it is missing or not finite, which fails.")
     limit: Number = _says("The largest value that passes; null where there is no limit.")
     unit: str = _says("Unit of value and limit; empty for yes (1) or no (0).")
@@ -354,18 +356,20 @@ class Outcome(Part):
     landmarks: Landmarks = _says("How far the landmarks are from their destinations.")
     map: Map = _says("Whether the map is one-to-one.")
     mesh: Mesh | None = _says("The deformed tetrahedra; null where none were made.")
-    steps_rejected: Count = _says("Stretches of the path that were tried and cut shorter.")
+    steps_rejected: Count = _says("Substeps of the path that were tried and shortened.")
     edges_split: Count = _says("Edges of the surfaces that were split because the map bends them.")
     edges_left_bent: Count = _says("Edges still bent beyond the tolerance.")
-    crossings_left: Count = _says("Pairs of triangles that come to cross and that halving does not part.")
-    steps_returned: Count = _says("Times that points between those tested took the march back to a step.")
+    crossings_left: Count = _says(
+        "Pairs of triangles that cross after the deformation and that subdivision does not separate."
+    )
+    steps_returned: Count = _says("How often a step was shortened because points between the tested ones failed.")
     bones: Bones | None = _says("The field at the bones; null where bones are not held rigid.")
     tissues: list[Tissue] = _says("All tissues, outermost first.")
     overlaps: list[Overlap] = _says("Overlapping pairs, largest first.")
     overlap_total: OverlapVolumes = _says("Overlap volumes summed over all pairs.")
     bone_overlaps: list[BoneOverlap] = _says(
-        "What held bones share by their rigid motions alone, known before the deformation: below the limits of a "
-        "collision, and no part of what it introduces."
+        "Overlap of held bones due to their rigid motions alone, known before the deformation: below the limits of a "
+        "collision, and not counted as introduced."
     )
     pairs_tested: Count = _says("Pairs of tissues tested for overlap.")
     not_checked: list[NotChecked] = _says("What could not be checked; anything here fails the run.")
@@ -375,11 +379,11 @@ class Outcome(Part):
 class RangeEnd(Part):
     """Where a range ends."""
 
-    degrees: Number = _says("How far it can turn to this side, degrees; short of the true end by the resolution.")
+    degrees: Number = _says("How far it can turn to this side, degrees; up to the resolution short of the true end.")
     ended_by: Literal["bones", "limit", "not met"] = _says(
-        "Bones that collide, the limit stated for it, or nothing as far as 180 degrees."
+        "Colliding bones, the stated limit, or nothing up to 180 degrees."
     )
-    beyond: BoneOverlap | None = _says("The bones that end it, one step beyond; null where none do.")
+    beyond: BoneOverlap | None = _says("The colliding bones, one step beyond the end; null if there are none.")
 
 
 class JointRange(Part):
@@ -389,22 +393,22 @@ class JointRange(Part):
     low: RangeEnd = _says("Where its range ends below rest.")
     high: RangeEnd = _says("Where its range ends above rest.")
     limits_deg: tuple[Number, Number] = _says("The limits stated for it, degrees; null where there is none.")
-    step_deg: Number = _says("Bones were tested at least this often, degrees.")
-    resolution_deg: Number = _says("How finely an end was found, degrees.")
+    step_deg: Number = _says("Largest angle between tests for collisions, degrees.")
+    resolution_deg: Number = _says("Resolution of the ends, degrees.")
     untested: list[str] = _says("Bones that were left out because they are not solids.")
 
 
 class Limits(Part):
-    """What the result is held against."""
+    """The limits that the result is checked against."""
 
     purpose: Purpose = _says(
-        "What the limits are for: another pose of the same body, or another body, whose bones and muscles are told as "
-        "measured unless the rig limits them."
+        "What the limits are for: another pose of the same body, or another body, whose bones and muscles are reported "
+        "without limits unless the rig sets them."
     )
     because: str = _says("Why they are for this purpose.")
     landmark_mm: Number = _says("Landmark error, mm.")
     bone_rigidity_mm: Number = _says(
-        "Bone off rigid, mm; null for no limit, which bones that are held or kept have all the same."
+        "Bone off rigid, mm; null for no limit; bones that are held or kept always have one."
     )
     muscle_volume_percent: Number = _says("Muscle volume change, percent; null for no limit.")
     introduced_overlap_mm3: Number = _says("Introduced overlap, mm³.")
@@ -445,7 +449,7 @@ class RunDocument(Outcome, _Document):
     """Lengths in mm, volumes in mm³. A number that is missing or not finite is null."""
 
     title: str = _says("Title of the rig.")
-    limits: Limits = _says("What the result is held against.")
+    limits: Limits = _says("The limits that the result is checked against.")
     tets: Tets | None = _says("The tetrahedra at rest; null where none were made.")
     joint_ranges: list[JointRange] = _says("How far the joints that the pose turns can turn; no part of the verdict.")
     findings: list[Finding] = _says("What was found in the input; no part of the verdict.")

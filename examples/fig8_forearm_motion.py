@@ -30,8 +30,10 @@ from musclefit.report.model import Side
 from musclefit.report.sequence import SequenceReport
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
-from musclefit.workflows.sequence import planned, read_frames, run_sequence
+from musclefit.workflows.sequence import run_sequence
+from musclefit.workflows.sequence_frames import read_frames
 from musclefit.workflows.sequence_outputs import write_outputs
+from musclefit.workflows.sequence_plan import planned
 
 PAPER = (
     "bones.rigid=false",

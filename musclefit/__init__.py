@@ -56,7 +56,9 @@ if TYPE_CHECKING:
     from musclefit.workflows.render import render
     from musclefit.workflows.repair import repair
     from musclefit.workflows.run import prepared_tets, run, save
-    from musclefit.workflows.sequence import planned, read_frames, run_sequence, sequence
+    from musclefit.workflows.sequence import run_sequence, sequence
+    from musclefit.workflows.sequence_frames import read_frames
+    from musclefit.workflows.sequence_plan import planned
     from musclefit.workflows.view import view
     from musclefit.workflows.warp_deck import warp_deck
     from musclefit.workflows.warp_field import warp_field
@@ -100,10 +102,10 @@ _HOMES = {
     "inspect": "pipeline.inspect",
     "joint_range": "workflows.joint_range",
     "label_surfaces": "workflows.label_surfaces",
-    "planned": "workflows.sequence",
+    "planned": "workflows.sequence_plan",
     "prepared_tets": "workflows.run",
     "read_anatomy": "io.anatomy",
-    "read_frames": "workflows.sequence",
+    "read_frames": "workflows.sequence_frames",
     "read_landmarks": "io.formats.landmarks",
     "read_motion": "io.formats.motions",
     "read_rig": "io.rigs",

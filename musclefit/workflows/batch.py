@@ -30,7 +30,7 @@ from musclefit.workflows.batch_tasks import ATTEMPTS, died, make, make_case, pre
 from musclefit.workflows.collect import Cohort, collect, require_pyarrow, require_study_folder, write_study_json
 from musclefit.workflows.cost import CostModel, Forecast, Sizes, available_mb, workers_that_fit
 from musclefit.workflows.progress import TimedStages, watched
-from musclefit.workflows.sequence import planned
+from musclefit.workflows.sequence_plan import planned
 from musclefit.workflows.worker_pool import Died, Pool
 
 Backend = Callable[[Study, Path, list[int], int], Iterator[CaseOutcome]]

@@ -10,17 +10,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from musclefit._version import __version__
-from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically
-from musclefit.io.drives import JointDrive, OpenSimDrive, TransformDrive
 from musclefit.io.folder_locks import held
-from musclefit.io.formats.motions import read_motion
-from musclefit.io.formats.opensim_motion import ENDINGS
 from musclefit.io.formats.rows import csv_text
-from musclefit.io.formats.tables import toml_string
 from musclefit.io.formats.vtk_series import collection
-from musclefit.io.marker_motions import ENDINGS as MARKERS
 from musclefit.io.provenance import versions
 from musclefit.io.rigs import read_rig
 from musclefit.io.sequence_frames import (
@@ -35,7 +29,7 @@ from musclefit.io.sequence_frames import (
 )
 from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.retarget import settings_of
-from musclefit.pipeline.sequence import check_pose, posed_job, require_motion
+from musclefit.pipeline.sequence import posed_job
 from musclefit.progress import Progress, Silent
 from musclefit.report.sequence import (
     MADE,
@@ -45,89 +39,17 @@ from musclefit.report.sequence import (
     measures_table,
     sequence_to_json,
 )
-from musclefit.rig.job import Job
-from musclefit.rig.motion import Interpolation, Motion, Pose
+from musclefit.rig.motion import Interpolation, Pose
 from musclefit.rig.transforms import BoneTransforms
 from musclefit.workflows.given import RigGiven, rig_given, word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
+from musclefit.workflows.sequence_frames import FrameOnDisk, read_frames, read_plan
+from musclefit.workflows.sequence_plan import SequencePlan, planned, with_motion
 from musclefit.workflows.sequence_tasks import examine, make, prepare, read_between
 from musclefit.workflows.worker_pool import Pool
 
 SERIES, MEASURES, REPORT_JSON = "sequence.pvd", "muscles.csv", "report.json"
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class SequencePlan:
-    """What a sequence is to be.
-
-    Parameters
-    ----------
-    job : Job
-        Driven by joints or transforms.
-    motion : Motion or BoneTransforms
-        Keyframes of the joints, or the job's own transforms.
-    frames : int
-        0 for transforms at their file's own times.
-    interpolation : Interpolation
-        Of keyframes; transforms are joined by screws.
-    """
-
-    job: Job
-    motion: Motion | BoneTransforms
-    frames: int
-    interpolation: Interpolation = Interpolation.CUBIC
-
-    @property
-    def poses(self) -> tuple[Pose, ...]:
-        """The frames' poses.
-
-        Raises
-        ------
-        InputError
-            Fewer than two frames, or neither joints nor transforms drive the job.
-        RigError
-            A coordinate that no joint has, or an angle beyond its limits.
-        """
-        require_motion(self.job)
-        if isinstance(self.motion, BoneTransforms):
-            return self.motion.frames(self.frames)
-        poses = self.motion.frames(self.frames, interpolation=self.interpolation)
-        for pose in poses:
-            check_pose(self.job, pose)
-        return poses
-
-    @property
-    def resampling(self) -> str:
-        """How frames are made of the keyframes, in words."""
-        if isinstance(self.motion, BoneTransforms):
-            return self.motion.resampling_in_words(self.frames)
-        return self.motion.resampling_in_words(self.frames, interpolation=self.interpolation)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class FrameOnDisk:
-    """A frame of a sequence that was read back: its summary, and its anatomy when asked for."""
-
-    stored: StoredFrame
-    rest: Anatomy
-
-    @property
-    def summary(self) -> FrameSummary:
-        """Pose, checks and measures."""
-        return self.stored.summary
-
-    def anatomy(self) -> Anatomy:
-        """The given triangles in the pose, double precision.
-
-        Raises
-        ------
-        InputError
-            The frame was refused or failed.
-        """
-        if self.summary.outcome != MADE:
-            raise InputError(f"frame {self.summary.number} has no anatomy: {self.summary.problem}")
-        return self.rest.with_vertices(self.stored.vertices())
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -202,7 +124,7 @@ def sequence(
     RigError, LandmarkError, MeshError, InputError
         Input that cannot be used, or a folder that holds something else.
     """
-    from musclefit.workflows.sequence_outputs import write_outputs
+    from musclefit.workflows.sequence_outputs import write_outputs  # brings VTK
 
     by = None if interpolation is None else word(Interpolation, interpolation, what="interpolation")
     with watched(progress) as stages:
@@ -211,68 +133,6 @@ def sequence(
         report = run_sequence(plan, out, workers=workers, between=between, progress=stages)
         write_outputs(plan, Path(out), report, pictures=pictures, progress=stages)
     return FollowedMotion(plan, report, Path(out))
-
-
-def planned(
-    job: Job, *, motion: str | Path | None = None, frames: int = 0, interpolation: Interpolation | None = None
-) -> SequencePlan:
-    """The sequence that a rig describes, with another motion, other frames or another interpolation where given.
-
-    Raises
-    ------
-    InputError
-        Neither joints nor transforms drive the rig; joints whose motion neither it nor the caller names, or transforms
-        and another motion or interpolation; or as `read_motion`.
-    """
-    require_motion(job)
-    drive = job.rig.drive
-    if job.transforms is not None and isinstance(drive, TransformDrive):
-        if motion or interpolation:
-            what = f"the motion {motion}" if motion else f"the interpolation {interpolation}"
-            raise InputError(
-                f"{job.source}: {what} has no effect: the rig follows drive.transforms, along screws between their "
-                "times; leave it out, or set drive.transforms"
-            )
-        return SequencePlan(job, job.transforms, frames or drive.frames)
-    if job.transforms is not None and isinstance(drive, OpenSimDrive):
-        return _planned_on_model(job, job.transforms, drive, motion=motion, frames=frames, interpolation=interpolation)
-    assert isinstance(drive, JointDrive)
-    keyframes = motion or drive.motion
-    if not keyframes:
-        raise InputError(f"{job.source}: drive.motion names no keyframes; add it, or give a CSV after the rig")
-    return SequencePlan(job, read_motion(keyframes), frames or drive.frames, interpolation or drive.interpolation)
-
-
-def _planned_on_model(
-    job: Job,
-    transforms: BoneTransforms,
-    drive: OpenSimDrive,
-    *,
-    motion: str | Path | None,
-    frames: int,
-    interpolation: Interpolation | None,
-) -> SequencePlan:
-    """The sequence of a job that an OpenSim model drives; its motion was read with the rig."""
-    if motion and Path(motion).resolve() != Path(drive.motion).resolve():
-        raise InputError(f"{job.source}: is read without {motion}; read the rig with drive.motion set to it")
-    if interpolation:
-        raise InputError(
-            f"{job.source}: an OpenSim model's bodies follow screws between times; leave interpolation out"
-        )
-    if not drive.motion:
-        raise InputError(
-            f"{job.source}: drive.motion names no motion; add it, or give a .mot, .sto, .trc or .c3d after the rig"
-        )
-    return SequencePlan(job, transforms, frames or drive.frames)
-
-
-def with_motion(motion: str | Path | None, overrides: Sequence[str]) -> tuple[str, ...]:
-    """The overrides, and drive.motion where a motion of OpenSim is given, which only the rig's model can read."""
-    if motion is None or Path(motion).suffix.lower() not in (*ENDINGS, *MARKERS):
-        return tuple(overrides)
-    if not Path(motion).is_file():
-        raise InputError(f"{motion}: no such file; correct the path of the motion")
-    return (*overrides, f"drive.motion={toml_string(str(Path(motion).absolute()))}")
 
 
 def run_sequence(
@@ -347,31 +207,6 @@ def run_sequence(
     return report
 
 
-def read_frames(job: Job, folder: str | Path) -> Iterator[FrameOnDisk]:
-    """The frames of a sequence on disk, in order of time.
-
-    Parameters
-    ----------
-    job : Job
-        The rig that made it.
-    folder : path
-
-    Raises
-    ------
-    InputError
-        The folder holds no sequence, a frame is missing or was changed, or it was made of another rig.
-    """
-    folder = Path(folder)
-    plan = _read_plan(folder)
-    if plan["inputs"] != dict(job.hashes):
-        raise InputError(f"{folder} was made of other files than {job.source} names now; run the sequence again")
-    for number in range(plan["frames"]):
-        stored = read_frame(folder, number, key="")
-        if isinstance(stored, str):
-            raise InputError(f"{folder}: frame {number}: {stored}; run the sequence again, it keeps the others")
-        yield FrameOnDisk(stored, job.anatomy)
-
-
 def longest_first(numbers: Sequence[int], steps: Sequence[int]) -> list[int]:
     """Tasks in the order that keeps workers from waiting for the last: by the steps of their frames' marches, falling.
 
@@ -432,7 +267,7 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
         "tissues": tissues_in_order(plan.job.anatomy),
     }
     if folder.is_dir() and any(folder.iterdir()):
-        known = _read_plan(folder)
+        known = read_plan(folder)
         changed = [key for key in ("interpolation", "frames", "motion_sha256") if known.get(key) != ours[key]]
         former = Path(str(known.get("rig", plan.job.source)))
         if former.name != Path(plan.job.source).name:
@@ -447,16 +282,6 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
     elif folder.exists() and not folder.is_dir():
         raise InputError(f"the output folder {folder} is a file; name a folder that does not exist yet")
     write_atomically(folder / PLAN, json.dumps(ours, indent=1))
-
-
-def _read_plan(folder: Path) -> dict[str, Any]:
-    try:
-        plan = json.loads((folder / PLAN).read_text(encoding="utf-8"))
-        if {"frames", "interpolation", "inputs"} <= plan.keys():
-            return plan  # type: ignore[no-any-return]
-    except (OSError, ValueError, AttributeError):
-        pass
-    raise InputError(f"{folder} holds no {PLAN} of a sequence; name a new folder, or that of a sequence")
 
 
 def _write_tables(folder: Path, report: SequenceReport, stored: Sequence[StoredFrame]) -> None:

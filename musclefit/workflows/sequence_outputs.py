@@ -16,7 +16,8 @@ from musclefit.io.formats.glb import animated_glb
 from musclefit.progress import Progress, Silent
 from musclefit.report.sequence import FrameSummary, SequenceReport
 from musclefit.report.sequence_html import render_sequence
-from musclefit.workflows.sequence import SequencePlan, read_frames
+from musclefit.workflows.sequence_frames import read_frames
+from musclefit.workflows.sequence_plan import SequencePlan
 
 PAGE, FILM_GIF, FILM_MP4, MODEL = "report.html", "motion.gif", "motion.mp4", "motion.glb"
 

@@ -254,7 +254,7 @@ def garbage_bytes(at: Place) -> Sequence[str]:
     return at.run()
 
 
-@case("bone_distal.obj", "line 1", "no statement")
+@case("bone_distal.obj", "line 1", "not a statement")
 def garbage_text(at: Place) -> Sequence[str]:
     at.bone.unlink()
     at.bone.with_suffix(".obj").write_text("<html>404</html>\n", encoding="utf-8")
@@ -432,7 +432,7 @@ def unknown_bone_in_landmarks(at: Place) -> Sequence[str]:
     return _with_landmarks(at, lambda rows: rows[1].__setitem__(1, "bone_distl"))
 
 
-@case("{landmarks}", "line 4", "y_mm is '1,5e'", "no number")
+@case("{landmarks}", "line 4", "y_mm is '1,5e'", "not a number")
 def landmark_that_is_no_number(at: Place) -> Sequence[str]:
     rows = landmark_rows()
     rows[3][3] = "1,5e"
@@ -532,7 +532,7 @@ def joints_in_unknown_units(at: Place) -> Sequence[str]:
     return _with_joints(at, "mm, degrees", "inch")
 
 
-@case("joints.json", "no valid JSON", "line 2, column")
+@case("joints.json", "not valid JSON", "line 2, column")
 def broken_json(at: Place) -> Sequence[str]:
     drive_by_joints(at.rig)
     at.replace("joints.toml", "joints.json")

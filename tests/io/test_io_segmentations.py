@@ -163,7 +163,7 @@ def test_bad_images_are_refused_in_words(tmp_path: Path) -> None:
         (bad_nrrd(tmp_path / "shear.nrrd", **{"space directions": shear}).name, "axes are 78.7 degrees apart"),
         (bad_nrrd(tmp_path / "units.nrrd", **{"space units": ["inch"] * 3}).name, "write mm"),
         (forms.write_nifti(tmp_path / "parts.nii", np.full((3, 3, 3), 0.5, np.float32)).name, "27 of 27 voxels are no"),
-        (forms.write_nifti(tmp_path / "nan.nii", np.full((3, 3, 3), np.nan, np.float32)).name, "no whole numbers"),
+        (forms.write_nifti(tmp_path / "nan.nii", np.full((3, 3, 3), np.nan, np.float32)).name, "not whole numbers"),
     ):
         with pytest.raises(InputError, match=message):
             read_label_image(tmp_path / name)

@@ -20,7 +20,9 @@ from musclefit.pipeline.retarget import Retargeting
 from musclefit.pipeline.sequence import Stage, at_rest, check_pose, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Pose
-from musclefit.workflows.sequence import planned, read_frames, run_sequence
+from musclefit.workflows.sequence import run_sequence
+from musclefit.workflows.sequence_frames import read_frames
+from musclefit.workflows.sequence_plan import planned
 
 RIGID = (
     "bones.rigid=true",

@@ -22,7 +22,9 @@ from musclefit.pipeline.sequence import Stage, frames, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
 from musclefit.workflows import sequence_tasks
-from musclefit.workflows.sequence import SequencePlan, longest_first, planned, read_frames, run_sequence
+from musclefit.workflows.sequence import longest_first, run_sequence
+from musclefit.workflows.sequence_frames import read_frames
+from musclefit.workflows.sequence_plan import SequencePlan, planned
 
 BEND = "time_s,elbow_deg,phase\n0,0,rest\n1,40,bent\n2,0,rest\n"
 PATH = ("deformer.path=joints", "certificate.max_boxes=2000")

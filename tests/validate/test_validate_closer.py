@@ -247,4 +247,4 @@ def test_open_surfaces_are_judged_by_what_crosses_and_that_is_said() -> None:
     assert looked_at(passage, open_ball(3), Poses(open_ball(3), way)).kind is MeetingKind.THROUGH
     found = looked_at(passage, open_ball(30), Poses(open_ball(30), way))
     assert found.kind is MeetingKind.GRAZE
-    assert "no solid" in found.note
+    assert "not a solid" in found.note

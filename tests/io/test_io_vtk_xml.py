@@ -161,7 +161,7 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path):
         (b'type="Float64"', b'type="Complex"', "are of type 'Complex'"),
         (b"</VTKFile>", b"", "its last tag </VTKFile> is missing"),
         (b'Polys="320"', b'Polys="99999999999999999"', "states 99999999999999999 Polys"),
-        (b'Polys="320"', b'Polys="-1"', "no count"),
+        (b'Polys="320"', b'Polys="-1"', "not a count"),
     ],
 )
 def test_what_does_not_fit_is_named(old, new, said, tmp_path):

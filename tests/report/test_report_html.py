@@ -96,7 +96,7 @@ def test_touching_bones_and_joint_ranges_are_shown(make_report, make_side):
     side = make_side(overlaps=OverlapCheck((), 3, (), (touching,)))
     read = _Reader(render_html(make_report(result=side, joint_ranges=(elbow, free)), pictures={}))
     assert read.tags.count("script") == 1  # the page's own
-    for words in ("Bones that touch in the pose", "120.5", "0.2 mm deep", "its limit", "nothing so far", "no solids"):
+    for words in ("Bones that touch in the pose", "120.5", "0.2 mm deep", "its limit", "nothing so far", "not closed"):
         assert words in read.text
 
 

@@ -381,7 +381,7 @@ class VtkFile:
     def whole_number(self, word: str, what: str) -> int:
         """The count that a word says."""
         if not re.fullmatch(r"\s*[0-9]{1,18}\s*", word, re.ASCII):
-            raise self.damaged(f"{what} is {word[:30]!r}, no count")
+            raise self.damaged(f"{what} is {word[:30]!r}, which is not a count")
         return int(word)
 
     def damaged(self, what: str) -> MeshError:

@@ -195,9 +195,19 @@ def _add_marks(plotter: Any, panel: Panel) -> None:
         mapper.SetRelativeCoincidentTopologyPointOffsetParameter(_IN_FRONT)
 
 
+_TITLE, _LEAST_TITLE = 13, 5
+"""Font size of a title, and of one that is long for its panel."""
+_PX_PER_SIZE, _CHARACTER = 2.0, 0.68
+"""Pixels of a title's letters for its font size, and how wide a character is of them at most on average."""
+
+
 def _finish(plotter: Any, title: str, view: View) -> None:
     """Title and camera of the current panel."""
-    words = plotter.add_text(title, position="upper_edge", font_size=13, color="#1d2327", font="arial")
+    longest = max(map(len, title.split("\n")))
+    wide_px = plotter.window_size[0] / plotter.shape[1]
+    fits = wide_px / (_CHARACTER * max(longest, 1)) / _PX_PER_SIZE
+    size = max(_LEAST_TITLE, min(_TITLE, int(fits)))
+    words = plotter.add_text(title, position="upper_edge", font_size=size, color="#1d2327", font="arial")
     words.GetTextProperty().SetBackgroundColor(1.0, 1.0, 1.0)  # to be read in front of tissue, too
     words.GetTextProperty().SetBackgroundOpacity(0.85)
     aim(plotter, view)

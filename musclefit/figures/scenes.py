@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -63,6 +64,8 @@ MotionFrame = tuple[str, float, Anatomy]
 def motion_scene(rest: Anatomy, frames: Sequence[MotionFrame]) -> Scene:
     """A motion, frame by frame, from the anatomy at rest; evenly thinned where it is too long for a page.
 
+    It is first shown where it is farthest from rest on average.
+
     Parameters
     ----------
     rest : Anatomy
@@ -91,7 +94,18 @@ def motions_scene(rest: Anatomy, motions: Mapping[str, Sequence[MotionFrame]]) -
             for title, time_s, anatomy in frames[::every]
         ]
     thinned = f"one of {every} frames is shown, so that the page stays small enough to open; all are in the tables"
-    return _scene(rest, shapes, [thinned] if every > 1 else [])
+    drawn = [shape for shape in shapes if shape.time_s is not None and shape.motion == next(iter(motions))]
+    first = max(drawn, key=lambda shape: _mean_distance(shapes[0], shape), default=None)
+    scene = _scene(rest, shapes, [thinned] if every > 1 else [])
+    return replace(scene, first_time_s=None if first is None else first.time_s)
+
+
+def _mean_distance(one: SceneShape, other: SceneShape) -> float:
+    """Mean distance of the vertices of two shapes; 0 where they do not have the same number."""
+    pairs = list(zip(one.surfaces, other.surfaces, strict=True))
+    if any(len(a.vertices) != len(b.vertices) for a, b in pairs):
+        return 0.0
+    return float(np.concatenate([np.linalg.norm(a.vertices - b.vertices, axis=1) for a, b in pairs]).mean())
 
 
 def compared_scene(rest: Anatomy, results: Mapping[str, Anatomy]) -> Scene:

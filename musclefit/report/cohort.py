@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from musclefit.report.html import render_page
+from musclefit.report.html import TOLD_FIRST, amount, render_page
 
 OUTLIER_SCORE, OUTLIERS_FROM = 3.5, 8
 """Modified z-score beyond which a value is an outlier, and how many values of a measure it takes to say so."""
@@ -128,8 +128,8 @@ def render_cohort(
     links : mapping of case to the address of its own report, from the page
     """
     rows = cohort_rows(outcomes)
-    columns = [key for key in (rows[0] if rows else ()) if key not in ("case", "reason")]
-    columns = [key for key in columns if key != "motion" or any(row["motion"] for row in rows)]
+    columns = _columns(rows, measures={key for outcome in outcomes for key in outcome.values})
+    numeric = {key for key in columns if any(isinstance(row[key], int | float) for row in rows)}
     far = outliers(outcomes)
     counts = Counter(outcome.status for outcome in outcomes)
     passed = counts.get("passed", 0) == len(outcomes)
@@ -143,7 +143,9 @@ def render_cohort(
             "subjects": len({outcome.subject for outcome in outcomes}),
             "columns": columns,
             "rows": rows,
-            "numeric": {key for key in columns if any(isinstance(row[key], int | float) for row in rows)},
+            "headings": {key: _heading(key) for key in columns},
+            "numeric": numeric,
+            "story": _story(rows, [key for key in columns if key in numeric and _told_first(key) < len(TOLD_FIRST)]),
             "far": {(outlier.name, outlier.measure) for outlier in far},
             "outliers": far,
             "failed": [row for row in rows if row["status"] != "passed"],
@@ -153,3 +155,48 @@ def render_cohort(
             "outliers_from": OUTLIERS_FROM,
         },
     )
+
+
+def _heading(column: str) -> tuple[str, str]:
+    """The name and the unit of a column."""
+    name, _, unit = column.removesuffix("]").partition(" [")
+    return name, unit
+
+
+def _told_first(column: str) -> int:
+    """Where a measure stands among those that a page tells first."""
+    name = _heading(column)[0]
+    return TOLD_FIRST.index(name) if name in TOLD_FIRST else len(TOLD_FIRST)
+
+
+def _columns(rows: Sequence[Mapping[str, Any]], *, measures: set[str]) -> list[str]:
+    """The columns of the page: status, what tells most, other measures, facts; rig and motion where there are several.
+
+    Who it is and which rig and motion is in the name of the case; all columns are in outcomes.csv.
+    """
+    every = [key for key in (rows[0] if rows else ()) if key not in ("case", "reason", "status", "subject")]
+    several = [key for key in ("rig", "motion") if len({row[key] for row in rows}) > 1]
+    own = sorted((key for key in every if key in measures), key=lambda key: (_told_first(key), " [" not in key))
+    facts = [key for key in every if key not in measures and key not in ("rig", "motion")]
+    return ["status", *own, *facts, *several] if rows else []
+
+
+def _story(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[dict[str, Any]]:
+    """How many cases passed, and the worst of the two measures that tell most, those that are 0 throughout last."""
+    passed = sum(row["status"] == "passed" for row in rows)
+    told = {"name": "Cases passed", "value": f"{passed} of {len(rows)}", "passed": passed == len(rows), "lines": []}
+    found: list[tuple[bool, dict[str, Any]]] = []
+    for column in columns:
+        name, unit = _heading(column)
+        known = [(abs(float(row[column])), row["case"]) for row in rows if isinstance(row[column], int | float)]
+        known = [(value, case) for value, case in known if np.isfinite(value)]
+        if not known:
+            continue
+        worst, case = max(known)
+        median = float(np.median([value for value, _ in known]))
+        lines = [case] if worst else []
+        lines.append(f"median {amount(median, unit)}, of {len(known)} cases")
+        found.append(
+            (not worst, {"name": f"Largest {name}", "value": amount(worst, unit), "passed": None, "lines": lines})
+        )
+    return [told, *(one for _, one in sorted(found, key=lambda pair: pair[0])[:2])]

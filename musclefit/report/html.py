@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -22,7 +22,7 @@ from musclefit.geometry.queries.solids import ROUNDING_MM3
 from musclefit.report.comparison import Row, compare, worst_first
 from musclefit.report.methods import methods_of
 from musclefit.report.model import SCHEMA_VERSION, MeshReport, Report, absent, bone_limit, checks_against
-from musclefit.report.run_differences import Differences
+from musclefit.report.run_differences import Differences, MeasureRow
 from musclefit.report.scene import Scene, packed, quantum_mm
 from musclefit.validate.bones import RESOLUTION_DEG, STEP_DEG
 from musclefit.validate.model import MESH_SURFACES, MESH_THEOREM, Check, PairOverlap, TissueCheck
@@ -94,11 +94,23 @@ def render_differences(found: Differences, *, links: Sequence[str], scene: Scene
         "verdict": f"no {what.lower()} is better" if better is None else f"{better} is better",
         "found": found,
         "better": better,
+        "story": _told_first_of(found),
         "letters": found.letters,
         "links": links,
         "scene": scene_parts(scene),
     }
     return _render("differences.html.jinja", page)
+
+
+def _told_first_of(found: Differences) -> list[MeasureRow]:
+    """The three checks that tell most: those that some fail and others do not, then those that one is better in."""
+    rank = {name: k for k, name in enumerate(TOLD_FIRST)}
+    known = [row for row in found.measures if row.unit and (row.name in rank or False in row.passed)]
+
+    def place(row: MeasureRow) -> tuple[bool, bool, bool, int]:
+        return len(set(row.passed)) < 2, not row.best, False not in row.passed, rank.get(row.name, len(rank))
+
+    return sorted(known, key=place)[:3]
 
 
 def number(value: float | None) -> str:
@@ -234,7 +246,7 @@ class SceneParts:
 
 
 @dataclass(frozen=True, slots=True)
-class _StoryNumber:
+class StoryNumber:
     """One of the three numbers at the head of a page, with those of the methods compared with."""
 
     name: str
@@ -362,23 +374,35 @@ def _page(report: Report, pictures: Mapping[str, bytes], pictures_problem: str) 
     }
 
 
-_TOLD_FIRST = ("introduced overlap", "bone off rigid", "muscle volume change", "landmark error", "folded points")
+TOLD_FIRST = ("introduced overlap", "bone off rigid", "muscle volume change", "landmark error", "folded points")
 """Checks from which the three numbers at the head of a page are taken, those that fail before the others."""
 
 
-def _story(report: Report) -> list[_StoryNumber]:
-    """The three numbers that tell most: what fails, then overlap, bones and muscles; with the other methods'."""
+def _story(report: Report) -> list[StoryNumber]:
+    """The three numbers that tell most, with the other methods'."""
     sides = (("paper's loop", report.paper_loop), ("one shot", report.baseline))
     others = {
         name: {check.name: check.value for check in checks_against(report.limits, side)}
         for name, side in sides
         if side is not None
     }
-    known = [check for check in report.checks if check.unit]
-    rank = {name: k for k, name in enumerate(_TOLD_FIRST)}
+    return story_of(report.checks, others)
+
+
+def story_of(checks: Iterable[Check], others: Mapping[str, Mapping[str, float]]) -> list[StoryNumber]:
+    """The three numbers that tell most: what fails, then overlap, bones and muscles.
+
+    Parameters
+    ----------
+    checks : iterable of Check
+    others : mapping of name to values by check
+        What stands beside them.
+    """
+    known = [check for check in checks if check.unit]
+    rank = {name: k for k, name in enumerate(TOLD_FIRST)}
     first = sorted(known, key=lambda check: (check.passed, rank.get(check.name, len(rank))))[:3]
     return [
-        _StoryNumber(
+        StoryNumber(
             check.name,
             check.value,
             check.unit,

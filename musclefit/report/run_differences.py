@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import PurePath
 from typing import Any
 
 from musclefit.vocabulary import Claim
@@ -334,9 +335,16 @@ def setting_rows(told: Sequence[Mapping[str, Any]]) -> tuple[SettingRow, ...]:
     rows = []
     for key in _all(key for one in flat for key in one):
         values = tuple(one.get(key, "") for one in flat)
-        if len(set(values)) > 1 and not key.startswith(left_out):
+        if len(set(values)) > 1 and not key.startswith(left_out) and not _same_file(values, told):
             rows.append(SettingRow(key.removeprefix("settings."), values))
     return tuple(rows)
+
+
+def _same_file(values: Sequence[str], told: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether values are paths of files of one name and the same bytes."""
+    names = {PurePath(value).name for value in values}
+    digests = {one["provenance"].get("input_sha256", {}).get(name) for one in told for name in names}
+    return len(names) == 1 and len(digests) == 1 and None not in digests
 
 
 def _flat(value: Any, above: str = "") -> dict[str, str]:
@@ -375,7 +383,7 @@ def notes_on(names: tuple[str, ...], told: Sequence[Mapping[str, Any]]) -> list[
             notes.append(
                 f"{names[0]} and {name} have other volumes at rest, so that they are of other bodies: {_few(other)}"
             )
-        if one["provenance"]["settings"]["drive"] != told[0]["provenance"]["settings"]["drive"]:
+        if any(row.name.startswith("drive.") for row in setting_rows((told[0], one))):
             notes.append(f"{names[0]} and {name} were driven to other places, which shows in all that follows")
         if one["limits"] != told[0]["limits"]:
             notes.append(f"{names[0]} and {name} were held to other limits; each is judged by its own")

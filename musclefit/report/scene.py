@@ -93,6 +93,8 @@ class Scene:
         Unit vectors of the first view: upright, and from the body to the eye.
     left_out : tuple of str
         What was found and is not drawn, in words.
+    first_time_s : float or None
+        Of the frame that a motion is first shown at; None for its first.
     """
 
     tissues: tuple[SceneTissue, ...]
@@ -100,6 +102,7 @@ class Scene:
     up: Float
     towards: Float
     left_out: tuple[str, ...] = ()
+    first_time_s: float | None = None
 
     @property
     def marks(self) -> list[tuple[int, int, SceneMark]]:
@@ -130,6 +133,7 @@ def packed(scene: Scene) -> tuple[str, str]:
         "quantum": quantum,
         "up": np.asarray(scene.up).tolist(),
         "towards": np.asarray(scene.towards).tolist(),
+        "first_time_s": scene.first_time_s,
         "topologies": [],
         "shapes": [],
     }

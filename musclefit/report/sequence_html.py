@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from musclefit.report.curves import curves
-from musclefit.report.html import render_page, scene_parts, sentence
+from musclefit.report.html import render_page, scene_parts, sentence, story_of
 from musclefit.report.scene import Scene
 from musclefit.report.sequence import MADE, SEQUENCE_SCHEMA_VERSION, FrameSummary, SequenceReport
 from musclefit.validate.close_meetings import MeetingKind
@@ -47,13 +47,17 @@ def render_sequence(
     ----------
     report : SequenceReport
     pictures : mapping of caption to (media type, bytes)
-        Shown in order.
+        Shown in order, the first at the head of the page.
     problems : str
         Why there are fewer pictures than there might be.
     scene : Scene or None
         The motion in 3-D; None leaves it out.
     """
     failed = [check for check in report.checks if not check.passed]
+    drawn = {
+        caption: f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
+        for caption, (kind, data) in pictures.items()
+    }
     page: dict[str, Any] = {
         "report": report,
         "verdict": report.verdict,
@@ -69,10 +73,9 @@ def render_sequence(
         "unexamined": [b for b in report.between if b.problem],
         "curves": muscle_curves(report),
         "angles": Markup(_angles(report)),
-        "pictures": {
-            caption: f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
-            for caption, (kind, data) in pictures.items()
-        },
+        "story": story_of(report.checks, {}),
+        "first_picture": dict(list(drawn.items())[:1]),
+        "pictures": dict(list(drawn.items())[1:]),
         "problems": problems,
         "scene": scene_parts(scene),
     }

@@ -61,10 +61,10 @@ def write_outputs(
             problems = mp4_problem()
             if not problems:
                 written.append(write_bytes_atomically(folder / FILM_MP4, mp4(drawn, seconds_each=seconds_each)))
-            embedded[f"The motion{slower}"] = ("image/gif", data)
             sheet = [drawn[k] for k in _even(len(drawn), SHEET_FRAMES)]
             columns = min(len(sheet), 6)
             embedded["Frames in order of time"] = ("image/png", contact_sheet(sheet, columns=columns, width_px=260))
+            embedded[f"The motion{slower}"] = ("image/gif", data)
     frames = [(_title(summary).replace("\n", ", "), summary.time_s, anatomy) for summary, anatomy in kept]
     scene = motion_scene(plan.job.anatomy, frames) if kept else None
     page = render_sequence(report, pictures=embedded, problems=problems, scene=scene)

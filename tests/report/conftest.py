@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from browsers import opened_browser
 
 from musclefit.anatomy.findings import Finding
 from musclefit.report.model import CONVERGED, Report, Side
@@ -72,3 +73,10 @@ def make_side() -> Callable[..., Side]:
 @pytest.fixture
 def make_report() -> Callable[..., Report]:
     return _report
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One Chromium for all tests of a file."""
+    with opened_browser() as opened:
+        yield opened

@@ -4,7 +4,7 @@
   const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
   const SHOWN = 25, FILTERED_FROM = 11;
 
-  // The number that a cell shows, or its text where it shows none.
+  // The number that a cell shows, or its text where it shows none; null for an empty cell.
   function valueOf(cell) {
     const text = (cell ? cell.innerText : "").trim();
     const plain = text.split("\n")[0].replace(/[\u202f\u00a0\s]/g, "").replace(/−/g, "-");
@@ -13,8 +13,15 @@
       const exponent = [...power[2]].map((c) => (c === "⁻" ? "-" : SUPERSCRIPTS.indexOf(c))).join("");
       return Number(power[1]) * 10 ** Number(exponent);
     }
+    if (plain === "" || plain === "–") return null;
     const number = plain.match(/^[≤✓✗]?(-?[\d,]*\.?\d+)/);
     return number ? Number(number[1].replace(/,/g, "")) : text.toLowerCase();
+  }
+
+  // Empty cells come last, whichever way a table is sorted.
+  function inOrder(a, b, down) {
+    if (a === null || b === null) return (a === null) - (b === null);
+    return down ? compared(a, b) : compared(b, a);
   }
 
   function compared(a, b) {
@@ -72,7 +79,7 @@
         for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
         head.setAttribute("aria-sort", down ? "ascending" : "descending");
         const keyed = [...body.rows].map((row) => [valueOf(row.cells[column]), row]);
-        keyed.sort((a, b) => (down ? compared(a[0], b[0]) : compared(b[0], a[0])));
+        keyed.sort((a, b) => inOrder(a[0], b[0], down));
         body.append(...keyed.map((pair) => pair[1]));
         show();
       });

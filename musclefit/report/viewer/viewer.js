@@ -516,8 +516,8 @@
       play.setAttribute("aria-pressed", String(shown.playing));
       if (shown.playing) requestAnimationFrame(tick);
     });
-    choose();
-    go(0);
+    const first = times.findIndex((time) => Math.abs(time - scene.first_time_s) < 1e-6);
+    go(scene.first_time_s === null ? 0 : Math.max(0, first));
   } else choose();
 
   // ---- tables, mouse and keys -------------------------------------------------------------------------------------

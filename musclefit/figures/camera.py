@@ -38,6 +38,13 @@ class View:
         return _MARGIN * max(self.half_height_mm, self.half_width_mm / panel_aspect)
 
 
+def principal_axis(points: Points) -> Float:
+    """Unit vector of the longest extent of (n, 3) points."""
+    centred = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    return _positive(axes[:, -1])
+
+
 def principal_views(points: Points) -> tuple[View, View]:
     """Two views with the longest extent upright: first the broad face, then a quarter turn about the upright axis.
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from musclefit.anatomy.model import Anatomy, TissueKind
-from musclefit.figures.camera import principal_views
+from musclefit.figures.camera import principal_axis, principal_views
 from musclefit.figures.colours import Colour, tissue_colours
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.measures import signed_volumes
@@ -28,6 +28,15 @@ DRAWN_COORDINATES = 45_000_000
 
 GAP_SHARE = 1.0 / 50.0
 """Gaps are coloured up to this share of the body's largest extent."""
+
+STRETCH, STRETCH_RANGE = "stretch along muscles", (0.5, 1.5)
+"""What a page calls the stretch, and from where to where it is coloured."""
+
+LEAST_LENGTHWISE = 0.5
+"""A triangle runs along an axis whose part in the triangle's plane is at least this long: 30 degrees off its normal."""
+
+SLIVER = 1e-6
+"""Twice the area over the square of the longest edge, below which a triangle has no part in that."""
 
 _TET_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
@@ -52,7 +61,8 @@ def run_scene(made: Retargeting) -> Scene:
             continue
         marks, missing = _marks(outcome)
         left_out += [f"{title}: {words}" for words in missing]
-        values = (SceneField("det J", "", 0.0, 2.0, outcome.determinants), _gaps(outcome.deformed))
+        volumes = SceneField("det J", "", 0.0, 2.0, outcome.determinants)
+        values = (volumes, _gaps(outcome.deformed), lengthwise_stretch(outcome.rest, outcome.deformed))
         shapes.append(SceneShape(title, _surfaces(outcome.deformed), values, marks))
     return _scene(result.rest, shapes, left_out)
 
@@ -158,6 +168,48 @@ def _gaps(anatomy: Anatomy) -> SceneField:
                 nearest[near] = np.minimum(nearest[near], tree.query(own[near], distance_upper_bound=far)[0])
         found[where] = np.where(np.isfinite(nearest), nearest, np.nan)
     return SceneField("gap", "mm", 0.0, far, found)
+
+
+def lengthwise_stretch(rest: Anatomy, posed: Anatomy) -> SceneField:
+    """How many times as long lines on the surface of muscles became that ran along their longest axis at rest.
+
+    At each vertex the mean over the triangles around it, by their area at rest; NaN where none of them runs along the
+    axis, as at the ends of a muscle, and in all other tissues. It stands for the stretch of fibres where these run
+    lengthwise.
+
+    Parameters
+    ----------
+    rest, posed : Anatomy
+        The same triangles.
+    """
+    found = np.full(len(rest.vertices()), np.nan)
+    for tissue, where in zip(rest, rest.slices().values(), strict=True):
+        if tissue.kind is TissueKind.MUSCLE and len(tissue.surface.faces):
+            found[where] = _stretch_of(tissue.surface, posed[tissue.name].surface.vertices)
+    return SceneField(STRETCH, "", *STRETCH_RANGE, found)
+
+
+def _stretch_of(surface: TriMesh, moved: Points) -> Float:
+    corners, after = surface.vertices[surface.faces], moved[surface.faces]
+    axis = principal_axis(surface.vertices)
+    edges, edges_after = (c[:, 1:] - c[:, :1] for c in (corners, after))
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    doubled = np.linalg.norm(normals, axis=1)
+    normals = normals / np.where(doubled > 0, doubled, 1.0)[:, None]
+    lines = axis - (normals @ axis)[:, None] * normals
+    lengths = np.linalg.norm(lines, axis=1)
+    sizes = (edges**2).sum(axis=2).max(axis=1)
+    runs = (doubled > SLIVER * sizes) & (lengths >= LEAST_LENGTHWISE)
+    # a line l in the triangle's plane is x e + y f of its edges e and f, with x and y by areas; then the edges' images
+    e, f = edges[:, 0], edges[:, 1]
+    spans = np.stack([np.cross(lines, f), np.cross(e, lines)], axis=1)
+    shares = np.einsum("tik,tk->ti", spans, normals) / np.where(runs, doubled, 1.0)[:, None]
+    stretched = np.linalg.norm(np.einsum("ti,tik->tk", shares, edges_after), axis=1) / np.where(runs, lengths, 1.0)
+    weights = np.where(runs, doubled, 0.0)
+    rows = surface.faces.ravel()
+    total = np.bincount(rows, np.repeat(weights, 3), minlength=len(moved))
+    summed = np.bincount(rows, np.repeat(weights * stretched, 3), minlength=len(moved))
+    return np.where(total > 0, summed / np.where(total > 0, total, 1.0), np.nan)
 
 
 def _contact(outcome: Outcome) -> tuple[SceneMark, ...]:

@@ -208,7 +208,7 @@
     if (!field) return null;
     const steps = words(bytes, field.values);
     const at = Float32Array.from(steps, (s) => (s === 255 ? NaN : field.low + ((field.high - field.low) * s) / 254));
-    const ramp = field.name === "det J" ? DIVERGING : [...SEQUENTIAL].reverse();
+    const ramp = field.low < 1 && 1 < field.high && !field.unit ? DIVERGING : [...SEQUENTIAL].reverse();
     return { name: field.name, unit: field.unit, low: field.low, high: field.high, ramp, at };
   }
 
@@ -427,7 +427,7 @@
     if (!of) return;
     $("scale-bar").style.background = `linear-gradient(to right, ${of.ramp.join(", ")})`;
     $("scale-low").textContent = `${of.low.toPrecision(3)}`;
-    $("scale-name").textContent = `${of.name}${of.unit ? ", " + of.unit : ""}${of.name === "gap" ? " (between vertices; grey: farther, or skin)" : ""}`;
+    $("scale-name").textContent = `${of.name}${of.unit ? ", " + of.unit : ""}${{ gap: " (between vertices; grey: farther, or skin)", "stretch along muscles": " (white: as at rest)", "det J": " (white: as at rest)" }[of.name] ?? ""}`;
     $("scale-high").textContent = `${of.high.toPrecision(3)}`;
   }
   colour.addEventListener("change", () => { shown.colour = colour.value; sides.forEach(paint); scale(); draw(); say(`Coloured by ${colour.selectedOptions[0].textContent}`); });

@@ -17,7 +17,7 @@ from musclefit.report.sequence_html import render_sequence
 from musclefit.workflows.run import run
 from musclefit.workflows.sequence import planned
 
-pytestmark = [pytest.mark.slow, pytest.mark.anatomy]
+pytestmark = [pytest.mark.slow, pytest.mark.anatomy, pytest.mark.usefixtures("anatomy_data")]
 
 FOREARM_BYTES, LEG_BYTES, FIRST_FRAME_MS = 12e6, 40e6, 10_000
 

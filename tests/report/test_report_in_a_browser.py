@@ -24,7 +24,8 @@ def make_scene(names=tuple(TISSUES), *, frames=0):
         SceneMark("overlap", "2 mm³", (names[1], names[2]), rest[3].vertices, rest[3].faces),
         SceneMark("fold", "3 vertices", (names[3],), rest[3].vertices[:3]),
     )
-    shapes = [SceneShape("Rest", rest), SceneShape("Result", result, (values,), marks)]
+    zone = SceneMark("contact zone", "within 5 mm", (names[2], names[3]), rest[2].vertices[:2])
+    shapes = [SceneShape("Rest", rest, (), (zone,)), SceneShape("Result", result, (values,), marks)]
     shapes += [SceneShape(f"f{k}", tuple(moved(s, [k, 0, 0]) for s in rest), time_s=0.1 * k) for k in range(frames)]
     tissues = tuple(SceneTissue(name, kind.split("_")[0], "#aa3322") for name, kind in zip(names, TISSUES, strict=True))
     return Scene(tissues, tuple(shapes), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
@@ -83,6 +84,11 @@ def test_places_in_tables_take_the_view_there(browser, written):
         page.wait_for_selector("#viewer[data-at^='3.00 4.00 5.00']")
         page.click("#show-all")
         assert page.is_hidden("#show-all")
+        assert page.is_hidden("tr[data-mark='0 0']"), "contact zones are folded away"
+        page.click("summary:has-text('1 contact zone of bones')")
+        page.click("tr[data-mark='0 0'] button.fly")
+        assert page.get_attribute("#viewer", "data-shown") == "Rest"
+        page.click("#show-all")
         page.click("tr[data-with] button.fly")
         assert page.is_visible("#show-all")
 

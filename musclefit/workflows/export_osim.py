@@ -14,11 +14,15 @@ from scipy.spatial.transform import Rotation
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.measures import distances_from_box
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.anatomy import read_surface
+from musclefit.io.drives.opensim import coordinate_motion
 from musclefit.io.formats.osim import WRAP_SIZES, BodyPoint, OpenSimModel, WrapObject
+from musclefit.io.formats.rows import csv_of
+from musclefit.io.formats.texts import read_bytes
 from musclefit.io.formats.xml_in_place import Element, replaced
-from musclefit.io.opensim_geometry import find_geometry
+from musclefit.io.opensim_geometry import PlacedMesh, find_geometry, placed_meshes
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import require_new_folder, write_new_folder
 from musclefit.pipeline.deformers import deform
@@ -29,6 +33,7 @@ from musclefit.rig.wrap_fits import FittedWrap, fitted_wrap, wrap_samples
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.import_osim import read_osim
+from musclefit.workflows.muscles_compared import MusclesCompared, Surfaces, muscles_compared
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
@@ -51,6 +56,8 @@ class ExportedModel(Shown):
     wraps : mapping of wrap object to FittedWrap
     left : tuple of str
         What was left as it is, in words.
+    compared : MusclesCompared or None
+        Lengths, moment arms and paths in bone before and after; None where they were not measured.
     """
 
     path: Path
@@ -58,19 +65,22 @@ class ExportedModel(Shown):
     muscles: Mapping[str, tuple[float, float]]
     wraps: Mapping[str, FittedWrap]
     left: tuple[str, ...]
+    compared: MusclesCompared | None = None
 
     def said(self) -> str:
         """Counts in a line."""
         return f"{self.path}: {self.points} points, {len(self.wraps)} wrap objects, {len(self.muscles)} muscles carried"
 
     def tables(self) -> Mapping[str, Iterable[Any]]:
-        """Muscles and wrap objects."""
+        """Muscles and wrap objects; of muscles over a motion their ranges and moment arms."""
         muscles = [
             {"name": name, "length_before_mm": before, "length_after_mm": after}
             for name, (before, after) in self.muscles.items()
         ]
         wraps = [{"name": n, "rms_mm": w.rms_mm, "largest_mm": w.largest_mm} for n, w in self.wraps.items()]
-        return {"muscles": muscles, "wraps": wraps}
+        found = self.compared
+        over = {} if found is None else {"muscles_over_motion": found.muscle_rows(), "moment_arms": found.arm_rows()}
+        return {"muscles": muscles, "wraps": wraps, **over}
 
     def to_json(self) -> dict[str, Any]:
         """All of it."""
@@ -84,6 +94,8 @@ def export_osim(
     out: str | Path,
     *,
     overrides: Sequence[str] = (),
+    motion: str | Path | None = None,
+    frames: int = 20,
     geometry: Sequence[str | Path] = (),
     progress: Progress | None = None,
 ) -> ExportedModel:
@@ -91,7 +103,8 @@ def export_osim(
 
     In the default pose every path point, marker, mass centre and mesh vertex is where the map takes it. Frames of
     bodies and joints go where the map takes their origins and keep their orientation; wraps are fitted anew; fibre and
-    tendon slack lengths keep their ratio to the muscle's straight path.
+    tendon slack lengths keep their ratio to the muscle's straight path. Over a motion OpenSim's own library (extra
+    ``opensim``) then tells length and moment arms of each muscle before and after, and how much of its path is in bone.
 
     Parameters
     ----------
@@ -102,6 +115,10 @@ def export_osim(
         New or empty folder for the model, of the same name, and ``Geometry/``.
     overrides : sequence of str
         ``key=value`` each.
+    motion : path, optional
+        .mot, .sto, .trc or .c3d of the model; without it muscles are not measured.
+    frames : int
+        At most so many of the motion's own times, evenly spread, the first and the last included.
     geometry : sequence of path
         Further folders to look for meshes in.
     progress : Progress, optional
@@ -113,8 +130,11 @@ def export_osim(
     """
     source, folder = Path(model), Path(out)
     require_new_folder(folder)
+    if frames < 1:
+        raise InputError(f"found {frames} frames; expected at least 1")
     with watched(progress) as stages:
         read = read_osim(source)
+        poses = None if motion is None else _poses(Path(motion), read, frames)
         files, missing = find_geometry(read, [Path(place) for place in geometry])
         job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
         _require_near(read, job.anatomy.vertices())
@@ -125,9 +145,39 @@ def export_osim(
             meshes = carrier.meshes(files)
         edits += [(element, name) for element, (name, _) in zip(_named(read, files), meshes, strict=True)]
         contents = {source.name: replaced(read.data, edits)} | {f"Geometry/{name}": data for name, data in meshes}
+        left = carrier.left + [f"mesh {name}: is nowhere, not written" for name in missing]
+        compared = None
+        if poses is not None:
+            before, after, open_ = carrier.bones(placed_meshes(read, files))
+            left += poses.told + [f"mesh {name}: is not closed; inside is where it winds by a half" for name in open_]
+            compared = muscles_compared(
+                read,
+                contents[source.name],
+                times_s=poses.times_s,
+                poses=poses.values,
+                bones=(before, after),
+                progress=stages,
+            )
+            contents["muscles.csv"] = csv_of(compared.pose_rows()).encode()
+            contents["moment_arms.csv"] = csv_of(compared.pose_arm_rows()).encode()
         write_new_folder(folder, contents)
-    left = carrier.left + [f"mesh {name}: is nowhere, not written" for name in missing]
-    return ExportedModel(folder / source.name, carrier.count, carrier.muscles, carrier.wraps, tuple(left))
+    return ExportedModel(folder / source.name, carrier.count, carrier.muscles, carrier.wraps, tuple(left), compared)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Poses:
+    """Some of a motion's times, the coordinates there, and what was found in its file."""
+
+    times_s: Float
+    values: list[dict[str, float]]
+    told: list[str]
+
+
+def _poses(path: Path, model: OpenSimModel, frames: int) -> _Poses:
+    motion = coordinate_motion(read_bytes(path), model, source=str(path))
+    rows = sorted({round(k) for k in np.linspace(0, len(motion.times_s) - 1, frames).tolist()})
+    told = [f"motion: {found.message}" for found in motion.findings]
+    return _Poses(motion.times_s[rows], [motion.at(row) for row in rows], told)
 
 
 def _named(model: OpenSimModel, files: Sequence[Path | None]) -> list[Element]:
@@ -240,6 +290,18 @@ class _Carrier:
                 if child is not None and before > 0.0:
                     edits.append((child, repr(float(child.text) * after / before)))
         return edits
+
+    def bones(self, placed: Sequence[PlacedMesh]) -> tuple[Surfaces, Surfaces, list[str]]:
+        """The meshes in their bodies' frames before and after, and the names of those that are not closed."""
+        before: list[tuple[str, str, TriMesh]] = []
+        after: list[tuple[str, str, TriMesh]] = []
+        for mesh in placed:
+            rest = mesh.mesh.vertices
+            gone = rest if mesh.body == GROUND else self.move(rest)
+            for kept, places, vertices in ((before, self.before, rest), (after, self.after, gone)):
+                local = places[mesh.body].inverse()(vertices)
+                kept.append((mesh.name, mesh.body, TriMesh(local, mesh.mesh.faces)))
+        return before, after, [mesh.name for mesh in placed if mesh.fault]
 
     def meshes(self, files: Sequence[Path | None]) -> list[tuple[str, bytes]]:
         """The meshes where the map takes them, in their own frames, and their names."""

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_osim import MODEL, opensim_places, write_tiny_osim
+from tiny_osim import MODEL, MOTION, opensim_places, write_tiny_osim
 
 import musclefit as mf
 from musclefit.cli import main
-from musclefit.io.formats.osim import parse_osim
+from musclefit.io.formats.osim import OpenSimModel, parse_osim
 from musclefit.rig.wrap_fits import fitted_wrap, wrap_samples
 
 LINEAR = np.array([[1.1, 0.05, 0.0], [0.0, 1.2, 0.0], [0.0, 0.1, 0.9]])
@@ -99,3 +99,56 @@ def test_wraps_follow_turns_and_even_scaling_exactly(kind: str, sizes: tuple[flo
     np.testing.assert_allclose(fit.sizes_mm, 1.3 * np.array(sizes), rtol=1e-12)
     np.testing.assert_allclose(fit.place.rotation, turn.rotation, atol=1e-12)
     assert fit.largest_mm < 1e-9
+
+
+def test_muscles_over_a_motion_before_and_after(
+    carried: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Lengths and moment arms are those of the straight line, by differences of our own kinematics."""
+    model, rig = carried
+    walk = tmp_path / "walk.mot"
+    walk.write_text(MOTION.replace("0\t0\t0\t1", "0\t10\t0\t1"))  # at 0 a function of the knee has a kink
+    command = ["export-osim", str(rig), str(model), str(tmp_path / "out"), "--motion", str(walk), "--json", "--quiet"]
+    assert main(command) == 0
+    said = json.loads(capsys.readouterr().out)
+    (muscle,) = said["muscles_over_motion"]
+    (arm,) = said["moment_arms"]
+    assert (arm["muscle"], arm["coordinate"]) == ("puller", "knee")
+    poses = [{"knee": np.deg2rad(d), "tx": x} for d, x in ((10, 0), (-30, 0.01), (-60, 0.02))]
+    for path, when in ((model, "before"), (tmp_path / "out" / "tiny.osim", "after")):
+        read = parse_osim(path.read_bytes(), source="m")
+        lengths = [length(read, pose) for pose in poses]
+        step = 1e-4
+        arms = [
+            (length(read, {**p, "knee": p["knee"] - step}) - length(read, {**p, "knee": p["knee"] + step})) / (2 * step)
+            for p in poses
+        ]
+        assert muscle[f"shortest_{when}_mm"] == pytest.approx(min(lengths), rel=1e-9)
+        assert muscle[f"longest_{when}_mm"] == pytest.approx(max(lengths), rel=1e-9)
+        assert arm[f"least_{when}_mm"] == pytest.approx(min(arms), rel=1e-5)
+        assert arm[f"most_{when}_mm"] == pytest.approx(max(arms), rel=1e-5)
+        assert muscle[f"in_bone_{when}_mm"] > 0.0  # the path ends 20 mm from the middle of a bone of 25 x 30 mm
+        assert muscle[f"bone_{when}"] in ("thigh__thigh", "shank__shank")
+    rows = (tmp_path / "out" / "muscles.csv").read_text().splitlines()
+    assert len(rows) == 1 + 3
+    assert (tmp_path / "out" / "moment_arms.csv").read_text().splitlines()[
+        0
+    ] == "time_s,muscle,coordinate,before_mm,after_mm"
+    assert any("foo" in left for left in said["left_as_it_is"])
+
+
+def length(model: OpenSimModel, pose: dict[str, float]) -> float:
+    places = model.multibody.places(pose)
+    line = np.array([places[point.body](point.at[None])[0] for point in model.points if point.of])
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+
+
+def test_a_motion_that_cannot_be_read_ends_before_the_work(
+    carried: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, rig = carried
+    bad = tmp_path / "bad.mot"
+    bad.write_text("endheader\ntime foo\n0 1\n")
+    assert main(["export-osim", str(rig), str(model), str(tmp_path / "out"), "--motion", str(bad), "--quiet"]) == 2
+    assert "no column is a coordinate of the model" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -117,8 +117,7 @@ def muscle_paths(given: Arrays) -> Arrays:
     forces = model.getForceSet()
     paths = {}
     for name in (str(name) for name in given["muscles"]):
-        force = forces.get(name)
-        paths[name] = opensim.GeometryPath.safeDownCast(force.getComponent("geometrypath")) or _path(opensim, force)
+        paths[name] = _path(opensim, forces.get(name))
     pairs = [(str(muscle), str(coordinate)) for muscle, coordinate in given["pairs"].reshape(-1, 2)]
     poses = given["values"]
     lengths = np.empty((len(poses), len(paths)))
@@ -143,8 +142,13 @@ def muscle_paths(given: Arrays) -> Arrays:
 
 
 def _path(opensim: Any, force: Any) -> Any:
-    muscle = opensim.Muscle.safeDownCast(force) or opensim.PathActuator.safeDownCast(force)
-    return muscle.getGeometryPath()
+    """The path of a muscle, ligament, spring or whatever has one."""
+    for name in ("PathActuator", "Ligament", "PathSpring", "Blankevoort1991Ligament"):
+        kind = getattr(opensim, name, None)
+        found = kind.safeDownCast(force) if kind is not None else None
+        if found is not None:
+            return found.getGeometryPath()
+    raise TypeError(f"{force.getName()} is a {force.getConcreteClassName()}, whose path cannot be asked for")
 
 
 def _line(opensim: Any, path: Any, state: Any) -> list[list[float]]:

@@ -23,7 +23,8 @@ of U(F(y)) = y + D(y) / 2. Rotation is free.
 and k = sup |I - A (I - grad D/2)| < 1 over the ball of radius s, a -> a - A (F(a) - x) contracts by k and keeps the
 ball when |A| t <= (1 - k) s. Such an x has a midpoint a within |A| t / (1 - k) of y; a - y = A (x - F(y)) + e,
 |e| <= k s, so x goes within |(I + G/2) A| t + (k |I + G/2| + r/2) s of U(F(y)), where grad D is within r of G
-over the ball. That it is the only midpoint is for the step's own proof to show.
+over the ball. That it is the only midpoint is for the step's own proof to show. This is tried
+everywhere: in small balls it stretches by what the step does, and not by what strain alone would allow.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from musclefit.certify.strain import (
 )
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
-from musclefit.geometry.arrays import Bool, Float, Points
+from musclefit.geometry.arrays import Bool, Float, Int, Points
 
 ROUNDING = 1e-15
 """Of coordinates of which two or three are added."""
@@ -200,7 +201,20 @@ def cayley_midpoints(field: Field, cover: Cover) -> Midpoints:
         left, sampled = left[~passes], sampled[~passes]
     left = np.concatenate([left, steep])
     radii[left], spread[left], found[left], hopeless[left] = _newton_balls(field, middle[left], reach[left])
+    by_strain = found.copy()
+    by_strain[left] = False
+    _narrowed(field, middle, reach, np.flatnonzero(by_strain), radii, spread)
     return Midpoints(middle, radii, reach, spread, found, hopeless)
+
+
+def _narrowed(field: Field, middle: Points, reach: Float, chosen: Int, radii: Float, spread: Float) -> None:
+    """Take the balls of Newton-Kantorovich in place of those by strain, for ``chosen``, where they are smaller.
+
+    Where both are found, they hold the same midpoint: the only one in the larger ball.
+    """
+    other, stretched, found, _ = _newton_balls(field, middle[chosen], reach[chosen])
+    radii[chosen] = np.where(found & (other < radii[chosen]), other, radii[chosen])
+    spread[chosen] = np.where(found & (stretched < spread[chosen]), stretched, spread[chosen])
 
 
 def _newton_balls(field: Field, middle: Points, reach: Float) -> tuple[Float, Float, Bool, Bool]:
@@ -240,13 +254,13 @@ def cayley_image(field: Field, midpoints: Midpoints) -> Cover:
     return Cover(moved, (midpoints.spread + off) * UP)
 
 
-def solve(field: Field, targets: Points, *, factor: float, goals: Float) -> Points:
+def solve(field: Field, targets: Points, *, factor: float, goals: Float, starts: Points | None = None) -> Points:
     """About the y with y + factor D(y) = target, for (N, n) targets, by damped Newton; to be checked by the caller.
 
-    Stops at residuals below ``goals`` (N,), mm, or at rounding.
+    Begins at ``starts`` (N, n), mm, where they are given. Stops at residuals below ``goals`` (N,), mm, or at rounding.
     """
     n = targets.shape[1]
-    solution = targets - factor * field.displacement(targets)
+    solution = targets - factor * field.displacement(targets) if starts is None else starts.copy()
     best, size = solution.copy(), np.full(len(targets), np.inf)
     damping = np.ones(len(targets))
     active = np.arange(len(targets))

@@ -15,6 +15,7 @@ from musclefit.certify.ball_covers import (
     explicit_image,
     solve,
 )
+from musclefit.certify.jumps import beside_jumps
 from musclefit.certify.model import Fold
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Float, Gradients, Points
@@ -43,6 +44,9 @@ CANDIDATES = 16
 
 BRANCH_STEPS, BRANCH_NEWTON = 16, 8
 """Strengths that the branch of a midpoint is followed through, and Newton steps at each."""
+
+ACROSS = (-8.0, -4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Strides across a fold from which a second midpoint is looked for."""
 
 STARTS = 48
 """Points of the body with the smallest determinants, from which the search descends, too."""
@@ -74,7 +78,8 @@ def find_fold(
     order = np.argsort(determinants, kind="stable")
     folded = order[determinants[order] < 0.0][:FOLDED_SAMPLES]
     fold = _first_fold(steps, number, samples[folded], surely_inside)
-    starts = np.concatenate([starts, carried[order[:STARTS]]])
+    beside = beside_jumps(field, (1.0,) if kind is StepKind.EXPLICIT else (0.5, -0.5), stride)
+    starts = np.concatenate([starts, carried[order[:STARTS]], beside.reshape(-1, samples.shape[1])])
     if fold or not len(starts):
         return fold
     places = _descend(kind, field, starts, stride)[:FOLLOWED]
@@ -98,16 +103,10 @@ def prove_fold(steps: Sequence[StepOf], number: int, rest: Points) -> tuple[Fold
     A Cayley step so steep that the point may have several midpoints there is left alone: it takes the point to nowhere
     in particular, so that neither orientation is shown.
     """
-    cover = Cover(rest, np.zeros(1))
-    for kind, field in steps[:number]:
-        if kind is StepKind.CAYLEY:
-            midpoints = cayley_midpoints(field, cover)
-            if not midpoints.found.all():
-                return ()
-            cover = cayley_image(field, midpoints)
-        else:
-            cover = explicit_image(field, cover)
+    cover = _before(steps[:number], rest)
     kind, field = steps[number]
+    if not np.isfinite(cover.radii).all():
+        return ()
     if kind is StepKind.CAYLEY:
         middle = _agreed_midpoint(field, cover.points)
         if not len(middle):
@@ -117,6 +116,103 @@ def prove_fold(steps: Sequence[StepOf], number: int, rest: Points) -> tuple[Fold
     if not ceiling < 0.0:
         return ()
     return (Fold(tuple(map(float, rest[0])), number, tuple(map(float, cover.points[0])), ceiling),)
+
+
+def _before(steps: Sequence[StepOf], rest: Points) -> Cover:
+    """The ball to which steps take a point (1, n) at rest; of infinite radius where that is not proved."""
+    cover = Cover(rest, np.zeros(1))
+    for kind, field in steps:
+        if kind is StepKind.CAYLEY:
+            midpoints = cayley_midpoints(field, cover)
+            if not midpoints.found.all():
+                return Cover(rest, np.full(1, np.inf))
+            cover = cayley_image(field, midpoints)
+        else:
+            cover = explicit_image(field, cover)
+    return cover
+
+
+def find_second_midpoint(
+    steps: Sequence[StepOf],
+    number: int,
+    starts: Points,
+    *,
+    stride: float,
+    samples: Points,
+    inside: Inside,
+    surely_inside: Inside,
+    among: Inside,
+) -> tuple[Fold, ...]:
+    """A point of the body that has two midpoints under Cayley step ``number``, proved, or nothing.
+
+    id - D/2 folds there: its determinant is negative at one of the two, which lies ``among`` those of the body, and so
+    the step is no map of the body. Takes what `find_fold` takes.
+    """
+    kind, field = steps[number]
+    if kind is not StepKind.CAYLEY:
+        return ()
+    before = steps[:number]
+    places = _after(before, samples)
+    places = places[np.isfinite(places).all(axis=1)]
+    worst = np.argsort(_reversed_behind(field, places), kind="stable")[:STARTS]
+    places = np.concatenate([places[worst], _descend(kind, field, np.concatenate([starts, places[worst]]), stride)])
+    places = places[among(places)]
+    places = places[_reversed_behind(field, places) < 0.0][:FOLLOWED]
+    rest = _back_to_rest(before, kind, field, places)
+    known = np.isfinite(rest).all(axis=1)
+    places, rest = places[known], rest[known]
+    known = inside(rest)
+    places, rest = places[known][:CANDIDATES], rest[known][:CANDIDATES]
+    for place, point in zip(places[surely_inside(rest)], rest[surely_inside(rest)], strict=True):
+        fold = _two_midpoints(steps, number, point[None], place[None], stride)
+        if fold:
+            return fold
+    return ()
+
+
+def _reversed_behind(field: Field, places: Points) -> Float:
+    """(N,) below 0 where the first factor of a Cayley step alone reverses orientation."""
+    gradients = 0.5 * field.gradient(places)
+    eye = np.eye(places.shape[1])
+    first, second = np.linalg.det(eye - gradients), np.linalg.det(eye + gradients)
+    value: Float = np.nan_to_num(np.where(second > 0.0, first, np.abs(first)), nan=np.inf)
+    return value
+
+
+def _two_midpoints(
+    steps: Sequence[StepOf], number: int, rest: Points, place: Points, stride: float
+) -> tuple[Fold, ...]:
+    """Two midpoints of a point (1, n) at rest, the first near ``place`` (1, n), in proved balls that do not meet.
+
+    The second is looked for from the point itself, from its image, and across the fold: along where id - D/2 is
+    flattest.
+    """
+    field = steps[number][1]
+    cover = _before(steps[:number], rest)
+    if not np.isfinite(cover.radii).all():
+        return ()
+    first = _midpoint_near(field, cover, place)
+    ceiling = _determinant_ceiling(StepKind.CAYLEY, field, first)
+    if not ceiling < 0.0:
+        return ()
+    flattest = np.linalg.svd(np.eye(rest.shape[1]) - 0.5 * field.gradient(first.points)[0])[2][-1]
+    starts = np.concatenate(
+        [
+            cover.points,
+            cover.points + 0.5 * field.displacement(cover.points),
+            first.points + stride * np.array(ACROSS)[:, None] * flattest,
+        ]
+    )
+    targets = np.repeat(cover.points, len(starts), axis=0)
+    found = solve(field, targets, factor=-0.5, goals=np.zeros(len(starts)), starts=starts)
+    apart = np.linalg.norm(found - first.points, axis=1)
+    for near in found[np.argsort(-apart, kind="stable")]:
+        second = _midpoint_near(field, cover, near[None])
+        between = float(np.linalg.norm(second.points - first.points))
+        if np.isfinite(second.radii).all() and between * (1.0 - 1e-9) > float(first.radii[0] + second.radii[0]):
+            other = tuple(map(float, second.points[0]))
+            return (Fold(tuple(map(float, rest[0])), number, tuple(map(float, first.points[0])), ceiling, other),)
+    return ()
 
 
 def _agreed_midpoint(field: Field, point: Points) -> Points:
@@ -247,15 +343,20 @@ def _deciding(kind: StepKind, gradients: Gradients) -> Float:
     return np.nan_to_num(value, nan=np.inf)
 
 
-def _carried(before: Sequence[StepOf], kind: StepKind, field: Field, points: Points) -> Points:
-    """About the places of a step (for a Cayley step: the midpoints) to which earlier steps take points at rest."""
-    exact = np.zeros(len(points))
+def _after(before: Sequence[StepOf], points: Points) -> Points:
+    """About where steps take points at rest."""
     for earlier, earlier_field in before:
         if earlier is StepKind.CAYLEY:
-            points = 2.0 * solve(earlier_field, points, factor=-0.5, goals=exact) - points
+            points = 2.0 * solve(earlier_field, points, factor=-0.5, goals=np.zeros(len(points))) - points
         else:
             points = points + earlier_field.displacement(points)
-    return solve(field, points, factor=-0.5, goals=exact) if kind is StepKind.CAYLEY else points
+    return points
+
+
+def _carried(before: Sequence[StepOf], kind: StepKind, field: Field, points: Points) -> Points:
+    """About the places of a step (for a Cayley step: the midpoints) to which earlier steps take points at rest."""
+    points = _after(before, points)
+    return solve(field, points, factor=-0.5, goals=np.zeros(len(points))) if kind is StepKind.CAYLEY else points
 
 
 def _back_to_rest(before: Sequence[StepOf], kind: StepKind, field: Field, place: Points) -> Points:

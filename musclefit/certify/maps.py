@@ -53,10 +53,10 @@ from musclefit.certify.ball_covers import (
 from musclefit.certify.body_shells import Patches, Shell, box_shell, point_patches, skin_shell, voxel_shell
 from musclefit.certify.boxes import BoxProof, prove
 from musclefit.certify.domains import Hull
-from musclefit.certify.folds import find_fold
+from musclefit.certify.folds import find_fold, find_second_midpoint
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
 from musclefit.certify.pairs import PairProof, prove_one_to_one
-from musclefit.certify.regions import Region
+from musclefit.certify.regions import CELLS, Region
 from musclefit.certify.strain import Condition
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
@@ -72,7 +72,7 @@ MAX_BOXES = 400_000
 PAIRS_SHARE = 0.25
 """Of the budget that a step has left: what is kept for a proof by pairs, should it not be shown to be monotone."""
 
-FINER_SHARE = 0.5
+FINER_SHARE = 0.15
 """Of the budget for a proof by pairs: what is kept for the finer shell."""
 
 MARGIN_SHARE = 0.5
@@ -81,6 +81,9 @@ MARGIN_SHARE = 0.5
 SHELLS = (40, 100)
 """Voxels along the skin's longest side: the shell around the skin, and the finer one that is tried when no claim could
 be made of what is inside the first, unless a step is too steep for its surface already."""
+
+CELLS_PER_VOXEL = 1.6
+"""Cells of regions along their longest side, for each voxel of the shell."""
 
 SAMPLES = 8000
 """Grid points of the body's bounding box that a search for a fold looks at first."""
@@ -160,7 +163,7 @@ def certify_map(
         spent, tick = 0, _never_back(raw_tick)
         for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
             body = _Body.of(skin, voxels=voxels, tissues=tissues, points=points)
-            body.pieces_left = PIECES_PER_BOX * max_boxes
+            body.pieces_left, body.cells = PIECES_PER_BOX * max_boxes, round(CELLS_PER_VOXEL * voxels)
             found, fold = _judge(
                 steps,
                 body,
@@ -215,6 +218,20 @@ def _judge(
                 return tuple(found), fold
             for_pairs = (1.0 - kept_share) * (budget - step.boxes_examined) if pairs_share else 0.0
             step, domain = trial.by_pairs(step, round(for_pairs), part)
+            if step.claim is not Claim.CERTIFIED:
+                fold = find_second_midpoint(
+                    steps,
+                    number,
+                    starts,
+                    stride=stride,
+                    samples=body.samples(),
+                    inside=body.inside,
+                    surely_inside=body.surely_inside,
+                    among=trial.domain.contains,
+                )
+                if fold:
+                    found.append(replace(step, claim=Claim.REFUTED))
+                    return tuple(found), fold
         found.append(step)
         if step.claim is not Claim.CERTIFIED:
             break
@@ -233,6 +250,7 @@ class _Body:
         self.steps: list[tuple[StepKind, Field]] = []
         self.domains: list[Hull | Region] = []
         self.pieces_left = MAX_PATCHES
+        self.cells = CELLS
         self._narrow()
 
     @classmethod
@@ -414,7 +432,7 @@ class _Trial:
     """One step on the surface it moves."""
 
     def __init__(self, kind: StepKind, field: Field, body: _Body) -> None:
-        self.kind, self.field = kind, field
+        self.kind, self.field, self.cells = kind, field, body.cells
         self.midpoints: Midpoints | None = body.midpoints(field) if kind is StepKind.CAYLEY else None
         held = body.cover if self.midpoints is None else Cover(self.midpoints.points, self.midpoints.radii)
         kept = np.isfinite(held.points).all(axis=1) & np.isfinite(held.radii)
@@ -480,7 +498,7 @@ class _Trial:
         """
         if self.blocked or max_boxes < 1:
             return step, self.domain
-        region = Region.around(self.held.points, self.held.radii)
+        region = Region.around(self.held.points, self.held.radii, cells=self.cells)
         factors = (-0.5, 0.5) if self.kind is StepKind.CAYLEY else (1.0,)
         proof: PairProof = prove_one_to_one(self.field, factors, region, max_boxes=max_boxes, tick=tick)
         low, high = region.bounds

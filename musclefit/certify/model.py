@@ -13,7 +13,7 @@ Place = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """A point at rest, inside the body, where the map turns space inside out: proved, not sampled.
+    """A point at rest, inside the body, where the map turns space inside out or is no map: proved, not sampled.
 
     Parameters
     ----------
@@ -23,16 +23,20 @@ class Fold:
         The step that reverses orientation, counted from 0.
     place_in_step : Place
         About where the steps before take the point; for a Cayley step its midpoint (the one that Newton's method and
-        the growing field agree on).
+        the growing field agree on, where there is no ``other_midpoint``).
     determinant : float
         Below 0: a proved upper bound of det(I + grad D), or of det(I + grad D/2) det(I - grad D/2) for a Cayley step,
         which has the sign of its Jacobian.
+    other_midpoint : Place or None
+        A second midpoint of the point under the Cayley step, where two are proved: the implicit step has several
+        solutions for a point of the body, and orientation is reversed at one of them.
     """
 
     place: Place
     step: int
     place_in_step: Place
     determinant: float
+    other_midpoint: Place | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,8 @@ class MapCertificate:
     ----------
     claim : Claim
         CERTIFIED: proved for every point of it. REFUTED: proved that orientation is reversed at ``fold``; since one
-        sign of the Jacobian belongs to a one-to-one map, the map folds (or mirrors the whole body). UNDECIDED: neither.
+        sign of the Jacobian belongs to a one-to-one map, the map folds (or mirrors the whole body); or that an implicit
+        step has two midpoints there, and so is no map. UNDECIDED: neither.
     margin : float
         Smallest over the steps; a proved lower bound when certified, else a sampled value.
     worst_step : int

@@ -13,6 +13,8 @@ p . U over a box of half widths h around c differs from p . U(c) by at most |p^T
 no such row parts them, the box around both may itself be one on which near pairs are told apart; else the larger of
 the two is cut.
 
+**Where the gradient jumps** at a single place, `jumps` tells near pairs apart on boxes around it.
+
 The sign of the determinant is that at the centre, on the whole of every box. Singular values and products are
 taken with room for their rounding.
 """
@@ -26,6 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from musclefit.certify.ball_covers import displacement_with_error
+from musclefit.certify.jumps import least_singular_at_jumps
 from musclefit.certify.regions import Region
 from musclefit.compiling import njit
 from musclefit.fields.protocol import Field
@@ -173,14 +176,29 @@ class _Search:
             singular = _least_singular(matrices)
             signed = np.where(np.linalg.det(matrices) > 0.0, singular, -singular)
             own = signed - abs(s) * boxes.radii
-            least = np.minimum(least, np.nan_to_num(own, nan=-np.inf))
             lack = np.divide(SPARE * abs(s) * boxes.radii, signed, out=np.full(len(boxes), np.inf), where=signed > 0.0)
-            lacks = np.maximum(lacks, np.nan_to_num(lack, nan=np.inf))
+            lack = np.nan_to_num(lack, nan=np.inf)
+            short = np.flatnonzero(lack > 1.0)
+            own[short], lack[short] = self._at_jumps(boxes.only(short), s, own[short], lack[short])
+            least = np.minimum(least, np.nan_to_num(own, nan=-np.inf))
+            lacks = np.maximum(lacks, lack)
             judged = np.where(within & ~np.isnan(signed), signed, np.inf)
+            # The middle of an enclosure is no gradient: what seems to collapse is looked at itself.
+            low = np.flatnonzero(judged < AT_LIMIT)
+            itself = _matrices(self.field.gradient(boxes.centres[low]), s)
+            judged[low] = np.nan_to_num(np.sign(np.linalg.det(itself)) * _least_singular(itself), nan=np.inf)
             worst = int(np.argmin(judged)) if len(judged) else -1
             if worst >= 0 and judged[worst] < self.sampled:
                 self.sampled, self.place = float(judged[worst]), boxes.centres[worst]
         return least, lacks
+
+    def _at_jumps(self, boxes: _Boxes, s: float, least: Float, lacks: Float) -> tuple[Float, Float]:
+        """The same where a jump of the gradient at a single place is told apart, where that is better."""
+        halves = REACH * boxes.halves * (1.0 + 1e-9) + self.slack
+        values, off = least_singular_at_jumps(self.field, s, boxes.centres, halves)
+        lack = np.divide(SPARE * off, values, out=np.full(len(boxes), np.inf), where=values > 0.0)
+        better = lack < lacks
+        return np.where(better, values - off, least), np.where(better, lack, lacks)
 
     def _cut(self, centres: Points, halves: Float, axes: int) -> tuple[Points, Float, Int]:
         """Halves along so many of the longest sides that meet the region, and (C,) the numbers of what they are of."""
@@ -264,8 +282,12 @@ class _Search:
     def _convex(self, centres: Points, halves: Float, s: float) -> Bool:
         """(B,) boxes of which no two points come together, by their gradients alone."""
         self.examined += len(centres)
-        gradients, radii = self.field.gradient_bounds(centres, halves * (1.0 + 1e-9) + self.slack)
+        halves = halves * (1.0 + 1e-9) + self.slack
+        gradients, radii = self.field.gradient_bounds(centres, halves)
         one: Bool = _least_singular(_matrices(gradients, s)) > abs(s) * radii
+        left = np.flatnonzero(~one)
+        values, off = least_singular_at_jumps(self.field, s, centres[left], halves[left])
+        one[left] = values > off
         return one
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from musclefit.errors import FieldError
 from musclefit.fields.enclosures import radial as enclosures
@@ -15,6 +16,9 @@ from musclefit.fields.evaluation.radial_sums import TINY, RadialSums, radial_sum
 from musclefit.fields.fitting.saddle import SaddleFactor
 from musclefit.fields.kernels import RadialKernel, kernel_named
 from musclefit.geometry.arrays import Float, Gradients, Points, frozen
+
+CONE = "r"
+"""The kernel whose gradient jumps at its centres."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -118,6 +122,39 @@ class RadialField:
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: (B, n, n) and radii (B,); see `protocol.Field`."""
         return enclosures.gradient_bounds(self, centres, half_widths, balls=enclosures.endless(centres))
+
+    @property
+    def jumps(self) -> Points:
+        """(J, n) places at which the gradient jumps, mm: the centres of the kernel r, none of the others."""
+        return self.centres if self.kernel == CONE and len(self.centres) > 1 else self.centres[:0]
+
+    def jump_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float, Points]:
+        """As ``gradient_bounds``, of all terms but that of the nearest centre, whose gradient is w v^T, |v| = 1.
+
+        Returns
+        -------
+        (B, n, n), (B,), (B, n) float64
+            Gradients at centres of boxes and radii, and w; of the kernel r with at least two centres only.
+
+        Raises
+        ------
+        FieldError
+            The kernel's gradient does not jump.
+        """
+        if self.kernel != CONE or len(self.centres) < 2:
+            raise FieldError(f"the gradient of kernel {self.kernel!r} has no jump to be told apart from other terms")
+        n = self._dimension_of(centres)
+        nearest = cKDTree(self.centres).query(centres)[1]
+        gradients, radii = np.empty((len(centres), n, n)), np.empty(len(centres))
+        for number in np.unique(nearest):
+            others = replace(
+                self,
+                centres=np.delete(self.centres, number, axis=0),
+                weights=np.delete(self.weights, number, axis=0),
+            )
+            rows = np.flatnonzero(nearest == number)
+            gradients[rows], radii[rows] = others.gradient_bounds(centres[rows], half_widths[rows])
+        return gradients, radii, -self.weights[nearest]
 
     def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
         """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +44,7 @@ def find_geometry(model: OpenSimModel, folders: Sequence[Path]) -> tuple[list[Pa
     for mesh in model.meshes:
         written = Path(mesh.file.replace("\\", "/"))
         tried = [written] if written.is_absolute() else [place / written for place in places]
-        path = next((path for path in tried if path.is_file()), None)
+        path = next((path for path in tried if os.path.isfile(path)), None)  # noqa: PTH113 - false for overlong names, too
         found.append(path)
         if path is None:
             missing.append(mesh.file)

@@ -13,7 +13,7 @@ from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.queries.gaps import smallest_gap
 from musclefit.geometry.queries.solids import candidate_pairs
 from musclefit.geometry.surfaces.thin_walls import ThinPlaces, thin_places
-from musclefit.progress import Progress
+from musclefit.progress import Progress, Tick
 from musclefit.validate.overlaps import SolidAnatomy
 
 THIN, SLOT, GAP = "thin-wall", "narrow-slot", "small-gap"
@@ -44,10 +44,11 @@ def close_findings(
                 found += _thin(tissue.name, places, places.wall, THIN, f"is thinner than {thinnest_mm:g} mm")
                 slot = f"has slots narrower than {thinnest_mm:g} mm"
                 found += _thin(tissue.name, places, places.slot, SLOT, slot)
-            tick((number + 1) / (len(tissues) + 1))
-        if smallest_gap_mm > 0.0:
-            names = [tissue.name for tissue in tissues if tissue.kind is not TissueKind.SKIN]
-            found += _gaps(solids, names, smallest_gap_mm)
+            tick((number + 1) / len(tissues))
+    if smallest_gap_mm > 0.0:
+        names = [tissue.name for tissue in tissues if tissue.kind is not TissueKind.SKIN]
+        with progress.stage("gaps") as tick:
+            found += _gaps(solids, names, smallest_gap_mm, tick)
     return tuple(found)
 
 
@@ -60,11 +61,13 @@ def _thin(name: str, places: ThinPlaces, where: Bool, code: str, said: str) -> I
     yield Finding(name, code, f"{name} {said} over {areas[where].sum():.3g} mm² of its surface, such as at ({at}) mm")
 
 
-def _gaps(solids: SolidAnatomy, names: list[str], within_mm: float) -> Iterator[Finding]:
+def _gaps(solids: SolidAnatomy, names: list[str], within_mm: float, tick: Tick) -> Iterator[Finding]:
     margin = np.array([[-0.5], [0.5]]) * within_mm
     boxes = [solids.solids[name].box + margin for name in names]
-    for i, j in candidate_pairs(boxes).tolist():
+    pairs = candidate_pairs(boxes).tolist()
+    for number, (i, j) in enumerate(pairs):
         a, b = names[i], names[j]
         gap = smallest_gap(solids.solids[a], solids.solids[b], within_mm=within_mm)
+        tick((number + 1) / len(pairs))
         if 0.0 < gap < within_mm:
             yield Finding(f"{a} and {b}", GAP, f"{a} and {b} are {gap:.3g} mm apart, closer than {within_mm:g} mm")

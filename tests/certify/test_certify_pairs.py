@@ -115,3 +115,19 @@ def test_a_region_leaves_gaps_between_parts_and_fills_voids() -> None:
     region = Region.around(np.concatenate([ring, ring + np.array([5.0, 0.0])]), np.full(400, 0.05))
     places = np.array([[0.0, 0.0], [5.0, 0.0], [2.5, 0.0]])
     assert region.meets(places, np.zeros_like(places)).tolist() == [True, True, False]
+
+
+class Askew(Rolled):
+    """The same with other enclosures over wide boxes, true but useless: their middles reverse orientation."""
+
+    def gradient_bounds(self, centres: np.ndarray, half_widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gradients, radii = super().gradient_bounds(centres, half_widths)
+        wide = half_widths.max(axis=1) > 0.02
+        gradients[wide] -= np.diag([3.0, 0.0])
+        return gradients, radii + 3.0 * wide
+
+
+def test_the_middle_of_a_wide_enclosure_is_not_taken_for_a_fold() -> None:
+    found = prove_one_to_one(Askew(1.0), (1.0,), strip(), max_boxes=200_000, tick=lambda _: None)
+    assert found.ended == ""
+    assert found.margin > 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from musclefit.errors import InputError
 from musclefit.io.formats.opensim_motion import parse_opensim_motion
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
 from musclefit.io.formats.xml_in_place import parse_xml, replaced
+from musclefit.io.opensim_geometry import find_geometry
 
 
 def read(text: str) -> OpenSimModel:
@@ -73,6 +76,22 @@ def test_the_old_layout_says_the_same_as_the_new() -> None:
 def test_models_that_cannot_be_read(text: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read(text)
+
+
+def test_numbers_that_are_no_lengths_are_refused() -> None:
+    """They would overflow once they are millimetres."""
+    large = re.sub(r"<location>[^<]*</location>", "<location>0 1e306 0</location>", MODEL, count=1)
+    assert large != MODEL
+    with pytest.raises(InputError, match=r"line \d+: location of .* holds 1e\+306"):
+        read(large)
+
+
+def test_a_mesh_file_with_an_overlong_name_is_missing() -> None:
+    model = read(MODEL)
+    mesh = replace(model.meshes[0], file="x" * 5000 + ".vtp")
+    files, missing = find_geometry(replace(model, meshes=(mesh,)), [])
+    assert files == [None]
+    assert missing == [mesh.file]
 
 
 def test_degrees_become_radians_and_lengths_stay_and_all_else_is_told() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from musclefit.cli import main
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.surfaces.booleans import difference
 from musclefit.io.run_folder import ply_bytes
-from musclefit.progress import Silent
+from musclefit.progress import Silent, Tick
 from musclefit.validate.closeness import close_findings
 from musclefit.validate.overlaps import solid_anatomy
 
@@ -44,6 +46,25 @@ def test_a_gap_is_found_below_the_limit_and_not_above(gap: float) -> None:
     assert found(two, smallest_gap_mm=1.1 * gap) == [("a and b", "small-gap")]
     assert found(two, smallest_gap_mm=0.9 * gap) == []
     assert found(two) == []
+
+
+class Watched(Silent):
+    """Progress that keeps what it was told, by stage."""
+
+    def __init__(self) -> None:
+        self.told: dict[str, list[float]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Tick]:
+        yield self.told.setdefault(name, []).append
+
+
+def test_every_pair_of_a_search_for_gaps_is_told_to_the_bar() -> None:
+    row = [box((11.0 * k, 0.0, 0.0), (11.0 * k + 10.0, 10.0, 10.0)) for k in range(4)]
+    tissues = tuple(Tissue(f"m{k}", TissueKind.MUSCLE, surface) for k, surface in enumerate(row))
+    solids, watched = solid_anatomy(Anatomy(tissues, frame="unspecified"), progress=Silent()), Watched()
+    close_findings(solids, thinnest_mm=0.0, smallest_gap_mm=1.5, progress=watched)
+    np.testing.assert_allclose(watched.told["gaps"], [1 / 3, 2 / 3, 1.0])
 
 
 def test_overlap_contact_and_the_skin_are_no_gap() -> None:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.io.formats.texts import LARGEST_MM
 from musclefit.io.formats.xml_in_place import Element, parse_xml
 from musclefit.rig.multibody import (
     GROUND,
@@ -29,6 +30,9 @@ from musclefit.rig.multibody import (
     SimmSpline,
 )
 from musclefit.vocabulary import Unit
+
+UNLIMITED = ("range", "coefficients")
+"""What may hold numbers of any size: ranges without an end, factors of powers."""
 
 OLDEST, NEWEST, NEW_LAYOUT = 20302, 49999, 40000
 """Versions of the file that are read; from the last one on, joints stand in a set of their own and name frames."""
@@ -462,6 +466,13 @@ class _Reader:
             found = child.text.strip()[:60] if child else "nothing"
             raise self._error(
                 child or element, f"{tag} of {element.tag} {element.name!r} is {found!r}; expected {expected}"
+            )
+        largest = float(np.abs(values).max())
+        if largest > LARGEST_MM and tag not in UNLIMITED:
+            raise self._error(
+                child or element,
+                f"{tag} of {element.tag} {element.name!r} holds {largest:.6g}, which is no length or angle of a body "
+                f"(at most {LARGEST_MM:.0e}); the file is damaged",
             )
         return values
 

@@ -1,8 +1,10 @@
 """Commands killed at many moments and started again: each restart completes, keeps what was finished, leaves nothing.
 
 ``python tests/kill_campaign.py --moments 50 --seed 1`` kills ``run``, ``sequence``, ``tets`` (a run with tetrahedra)
-and ``repair`` on a small limb with SIGKILL at moments spread over the time that each takes, and prints a line for each;
-exit code 1 where a restart failed, a finished frame was made again, or something half-written was left.
+and ``repair`` on a small limb with SIGKILL, and prints a line for each; exit code 1 where a restart failed, a finished
+frame or mesh was made again, or a half-written file, a temporary file, a lock or a process was left. Every other moment
+is a share of the processor time that the command takes, the ones between are spread over its changes of files, killed
+just before each. At random the command dies with all its workers, as when the machine goes down, or alone.
 """
 
 from __future__ import annotations
@@ -16,15 +18,42 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
 from tiny_rigs import drive_by_joints, write_tiny_rig
 
-LEFT_OVER = (".partial-", ".former-", ".trial-", ".unfinished-")
+LEFT_OVER = (".partial-", ".former-", ".trial-", ".unfinished-", ".tmp", ".lock")
 FINISHED = (0, 1)
 """Exit codes of a command that completed: passed, or a limit failed."""
+ORPHANS_S = 60.0
+"""How long workers may take to notice that their command is gone, seconds."""
+
+HOOK = """
+import os, signal, sys
+
+FILES = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.truncate", "os.link", "os.symlink"}
+inside, last, log = os.environ["KILLED_INSIDE"], int(os.environ["KILLED_AT"]), os.environ["KILLED_LOG"]
+alone, count = os.environ["KILLED_ALONE"] == "1", 0
+
+def watch(event, told):
+    global count
+    if event not in FILES or not isinstance(told[0], str) or not told[0].startswith(inside):
+        return
+    if event == "open" and not told[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+        return
+    count += 1
+    if log:
+        os.write(2, f"change {count} {event}\\n".encode())
+    if count == last:
+        os.kill(os.getpid(), signal.SIGKILL) if alone else os.killpg(os.getpgrp(), signal.SIGKILL)
+
+sys.addaudithook(watch)
+"""
+"""Run when a Python process starts: counts its changes of files below a folder and kills it before the one asked."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +64,21 @@ class Command:
     prepare: Callable[[Path], list[str]]
 
 
+@dataclass(frozen=True)
+class Moment:
+    """When a command is killed: after so much processor time, or before one of its changes of files; how."""
+
+    cpu_s: float = 0.0
+    change: int = 0
+    alone: bool = False
+
+    def __str__(self) -> str:
+        when = f"before change {self.change}" if self.change else f"after {self.cpu_s:.2f} CPU s"
+        return f"{when}, {'alone' if self.alone else 'with its workers'}"
+
+
 def _rig(folder: Path) -> Path:
-    return write_tiny_rig(folder)
+    return write_tiny_rig(folder / "rig")
 
 
 def _run(folder: Path) -> list[str]:
@@ -68,66 +110,127 @@ COMMANDS = (
 )
 
 
-def _start(arguments: list[str]) -> subprocess.Popen[str]:
+def _start(arguments: list[str], folder: Path, *, moment: Moment, log: bool = False) -> subprocess.Popen[str]:
+    """A command as a process group of its own, with its caches and temporary files below the folder."""
+    from musclefit.compiling import compiled_folder
+
+    for name in ("hook", "cache", "temporary"):
+        (folder / name).mkdir(exist_ok=True)
+    (folder / "hook" / "sitecustomize.py").write_text(HOOK, encoding="utf-8")
+    path = os.pathsep.join([str(folder / "hook"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {
+        "PYTHONPATH": path,
+        "NUMBA_CACHE_DIR": str(compiled_folder()),
+        "MUSCLEFIT_CACHE": str(folder / "cache"),
+        "TMPDIR": str(folder / "temporary"),
+        "KILLED_INSIDE": str(folder),
+        "KILLED_AT": str(moment.change),
+        "KILLED_ALONE": str(int(moment.alone)),
+        "KILLED_LOG": "1" if log else "",
+    }
     command = [sys.executable, "-m", "musclefit", *arguments]
     return subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment
     )
 
 
-def _complete(arguments: list[str]) -> str:
-    """Run a command to its end; "" where it completed, else what it said."""
-    with _start(arguments) as process:
+def _of_group(group: int) -> Iterator[psutil.Process]:
+    """The living processes of a group."""
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, ProcessLookupError):
+            if os.getpgid(process.pid) == group and process.status() != psutil.STATUS_ZOMBIE:
+                yield process
+
+
+def _cpu_s(group: int) -> float:
+    """What the processes of a group and those that they waited for have used, seconds."""
+    total = 0.0
+    for process in _of_group(group):
+        with suppress(psutil.Error):
+            total += sum(process.cpu_times()[:4])
+    return total
+
+
+def _complete(arguments: list[str], folder: Path, *, log: bool = False) -> tuple[str, str]:
+    """Run a command to its end: "" where it completed, else what went wrong; and what it said."""
+    with _start(arguments, folder, moment=Moment(), log=log) as process:
         _, said = process.communicate()
-        return "" if process.returncode in FINISHED else f"exit code {process.returncode}: {said.strip()[-300:]}"
+        failed = process.returncode not in FINISHED
+        return f"exit code {process.returncode}: {said.strip()[-300:]}" if failed else "", said
 
 
-def _frames(folder: Path) -> dict[Path, int]:
-    """When each finished frame of a sequence was written."""
-    return {path: path.stat().st_mtime_ns for path in folder.glob("out/frames/[0-9]*/frame.json")}
+def _kill(arguments: list[str], folder: Path, *, moment: Moment) -> str:
+    """Start a command and have it killed; what went wrong with that."""
+    with _start(arguments, folder, moment=moment) as process:
+        while moment.cpu_s and process.poll() is None and _cpu_s(process.pid) < moment.cpu_s:
+            time.sleep(0.1)
+        if moment.cpu_s and process.poll() is None:
+            os.kill(process.pid, signal.SIGKILL) if moment.alone else os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        until = time.monotonic() + ORPHANS_S
+        while (left := list(_of_group(process.pid))) and time.monotonic() < until:
+            time.sleep(0.1)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    return f"left running: {', '.join(' '.join(p.cmdline()) for p in left)}" if left else ""
+
+
+def _finished(folder: Path) -> dict[Path, int]:
+    """Each finished frame of a sequence and each mesh, with the number of its file, another one if it is made again."""
+    found = [*folder.glob("out/frames/[0-9]*/frame.json"), *folder.glob("cache/tets-*.npz")]
+    return {path: path.stat().st_ino for path in found}
 
 
 def _left_over(folder: Path) -> list[str]:
-    return [str(path.relative_to(folder)) for path in folder.rglob("*") if any(word in path.name for word in LEFT_OVER)]
+    named = [path for path in folder.rglob("*") if any(word in path.name for word in LEFT_OVER)]
+    return [str(path.relative_to(folder)) for path in (*named, *(folder / "temporary").iterdir())]
 
 
-def kill_at(command: Command, folder: Path, *, after_s: float) -> str:
+def kill_at(command: Command, folder: Path, *, moment: Moment) -> str:
     """Kill a command, start it again, and say what went wrong; "" where nothing did."""
     arguments = command.prepare(folder)
-    with _start(arguments) as process:
-        try:
-            process.wait(after_s)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)  # with its workers, as when the machine goes down
-    before = _frames(folder)
-    problem = _complete(arguments)
+    orphans = _kill(arguments, folder, moment=moment)
+    before = _finished(folder)
+    problem, _ = _complete(arguments, folder)
     if problem:
         return problem
-    again = [str(path) for path, when in _frames(folder).items() if before.get(path, when) != when]
-    left = _left_over(folder)
-    return "; ".join([*(f"made again: {path}" for path in again), *(f"left over: {path}" for path in left)])
+    written = _finished(folder)
+    again = [str(path) for path, number in before.items() if written.get(path) != number]
+    told = [*(f"made again: {path}" for path in again), *(f"left over: {path}" for path in _left_over(folder))]
+    return "; ".join(filter(None, [orphans, *told]))
 
 
-def campaign(command: Command, *, moments: int, seed: int) -> dict[float, str]:
-    """Kill a command at moments spread over the time that it takes; what went wrong, by the moment."""
+def _moments(command: Command, place: Path, *, moments: int, seed: int) -> Iterator[Moment]:
+    """The moments, spread over the processor time and the changes of files of a command that is let alone."""
     chance = random.Random(f"{seed}/{command.name}")
-    problems: dict[float, str] = {}
-    with tempfile.TemporaryDirectory(prefix="musclefit-kill-") as place:
-        began = time.perf_counter()
-        first = Path(place) / "first"
-        first.mkdir()
-        problem = _complete(command.prepare(first))
-        if problem:
-            raise RuntimeError(f"{command.name}: {problem}")
-        took = time.perf_counter() - began
-        for number in range(moments):
-            folder = Path(place) / str(number)
+    first = place / "first"
+    first.mkdir()
+    used = os.times()
+    problem, said = _complete(command.prepare(first), first, log=True)
+    took = sum(os.times()[2:4]) - sum(used[2:4])
+    if problem:
+        raise RuntimeError(f"{command.name}: {problem}")
+    changes = max(int(line.split()[1]) for line in said.splitlines() if line.startswith("change "))
+    for number in range(moments):
+        share = (number + chance.random()) / moments
+        alone = chance.random() < 0.5
+        by_change = Moment(change=1 + int(share * changes), alone=alone)
+        yield by_change if number % 2 else Moment(cpu_s=share * took, alone=alone)
+
+
+def campaign(command: Command, *, moments: int, seed: int) -> dict[Moment, str]:
+    """Kill a command at many moments; what went wrong, by the moment."""
+    problems: dict[Moment, str] = {}
+    with tempfile.TemporaryDirectory(prefix="musclefit-kill-") as name:
+        place = Path(name).resolve()
+        for number, moment in enumerate(_moments(command, place, moments=moments, seed=seed)):
+            folder = place / str(number)
             folder.mkdir()
-            after_s = took * (number + chance.random()) / moments
-            said = kill_at(command, folder, after_s=after_s)
+            said = kill_at(command, folder, moment=moment)
             if said:
-                problems[after_s] = said
+                problems[moment] = said
             shutil.rmtree(folder)
+            print(f"    {command.name} {number}: {moment}: {said or 'well'}", file=sys.stderr, flush=True)
     return problems
 
 
@@ -144,8 +247,8 @@ def main() -> int:
             problems = campaign(command, moments=given.moments, seed=given.seed)
             failed += len(problems)
             print(f"{command.name}: killed at {given.moments} moments, {len(problems)} restarts failed", flush=True)
-            for after_s, problem in problems.items():
-                print(f"    after {after_s:.2f} s: {problem}", flush=True)
+            for moment, problem in problems.items():
+                print(f"    {moment}: {problem}", flush=True)
     return int(failed > 0)
 
 

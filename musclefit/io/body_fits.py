@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from musclefit.geometry.similarity import Similarity
 from musclefit.io.formats.tables import toml_string
 from musclefit.io.run_folder import ply_bytes, write_new_folder
 from musclefit.pipeline.fit_body import KERNEL, BodyFit
+from musclefit.scratch import scratch_folder
 
 REPORT, RIG, CAGE, TARGET, SKIN, SCAN = (
     "fit.json",
@@ -63,8 +63,8 @@ def _with_data(mesh: TriMesh, data: dict[str, Float]) -> bytes:
     surface = pv.PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
     for name, values in data.items():
         surface.point_data[name] = np.array(values, dtype=np.float64)
-    with tempfile.TemporaryDirectory() as home:
-        path = Path(home) / "surface.vtp"
+    with scratch_folder("musclefit-surface-") as home:
+        path = home / "surface.vtp"
         surface.save(path, binary=True)
         return path.read_bytes()
 

@@ -10,8 +10,6 @@ import hashlib
 import json
 import math
 import os
-import tempfile
-import time
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -31,17 +29,16 @@ from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TetMesh
 from musclefit.meshing.ftetwild import OPTIMISATION_PASSES, STOP_ENERGY, Estimate, estimate, tetrahedralise
 from musclefit.progress import Progress
+from musclefit.scratch import scratch_folder
 
 DEFAULT_LIMIT_MB = 2000.0
 """Size of the folder when the environment says nothing, MB (10⁶ bytes)."""
-
-ABANDONED_S = 24 * 3600.0
-"""Half-written files older than this were left by a process that was killed, and are removed."""
 
 CACHE_FINDING = "tet-cache"
 """Code of findings about the cache."""
 
 _LAYOUT = "musclefit tets 4"
+_MAKING = ".tets-"
 _UNREADABLE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MeshError)
 
 
@@ -175,15 +172,13 @@ class TetCache:
         ]
 
     def _entries_latest_first(self, *, besides: Path) -> Iterator[tuple[Path, int]]:
-        """Entries and their sizes by last use; half-written files that nobody writes any more are removed."""
+        """Entries and their sizes by last use."""
         found = []
-        for file in self.folder.glob("tets-*"):
+        for file in self.folder.glob("tets-*.npz"):
             with suppress(FileNotFoundError):
                 stat = file.stat()
-                if file.suffix == ".npz" and file != besides:
+                if file != besides:
                     found.append((stat.st_mtime, stat.st_size, file))
-                elif file.suffix == ".tmp" and time.time() - stat.st_mtime > ABANDONED_S:
-                    file.unlink()
         for _, size, file in sorted(found, reverse=True):
             yield file, size
 
@@ -207,30 +202,24 @@ def content_hash(anatomy: Anatomy, rules: LayerRules) -> str:
 
 
 def _write(path: Path, tets: TetAnatomy) -> None:
-    """Write beside the final name first, so that a reader never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix="tets-", suffix=".tmp", delete=False) as file:
-        temporary = Path(file.name)
-        try:
-            np.savez(
-                file,
-                layout=np.array(_LAYOUT),
-                made_from=np.array(path.stem),
-                vertices=tets.mesh.vertices,
-                tets=tets.mesh.tets.astype(np.int32 if len(tets.mesh.vertices) < 2**31 else np.int64),
-                tissue_of_tet=tets.tissue_of_tet.astype(np.int32),
-                dropped=np.array(tets.dropped),
-                turned=np.array(tets.turned),
-                findings=np.array([[f.subject, f.code, f.message] for f in tets.findings], dtype=str).reshape(-1, 3),
-                fits=np.array(json.dumps([asdict(fit) for fit in tets.fits])),
-            )
-            file.flush()
-            os.fsync(file.fileno())
-            file.close()
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+    """Write in a folder beside first, so that a reader never sees half a file."""
+    with scratch_folder(_MAKING, inside=path.parent) as folder, (folder / path.name).open("wb") as file:
+        np.savez(
+            file,
+            layout=np.array(_LAYOUT),
+            made_from=np.array(path.stem),
+            vertices=tets.mesh.vertices,
+            tets=tets.mesh.tets.astype(np.int32 if len(tets.mesh.vertices) < 2**31 else np.int64),
+            tissue_of_tet=tets.tissue_of_tet.astype(np.int32),
+            dropped=np.array(tets.dropped),
+            turned=np.array(tets.turned),
+            findings=np.array([[f.subject, f.code, f.message] for f in tets.findings], dtype=str).reshape(-1, 3),
+            fits=np.array(json.dumps([asdict(fit) for fit in tets.fits])),
+        )
+        file.flush()
+        os.fsync(file.fileno())
+        file.close()
+        (folder / path.name).replace(path)
 
 
 def _read(path: Path, anatomy: Anatomy) -> TetAnatomy:

@@ -10,7 +10,6 @@ import math
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.geometry.tets.sizing import NO_SIZING, SizingField
 from musclefit.progress import Progress, Silent, Tick
+from musclefit.scratch import scratch_folder
 
 OPTIMISATION_PASSES = 2
 """Passes of the tetrahedraliser over its mesh; the first does most, each further one costs about a quarter of it."""
@@ -139,8 +139,7 @@ def fill(
     Y. Hu et al., Fast tetrahedral meshing in the wild, ACM Trans. Graph. 39 (2020) 117.
     """
     settings = (edge_length_fraction.hex(), envelope_fraction.hex(), str(OPTIMISATION_PASSES), STOP_ENERGY.hex())
-    with tempfile.TemporaryDirectory(prefix="musclefit-tets-", ignore_cleanup_errors=True) as scratch:
-        folder = Path(scratch)
+    with scratch_folder("musclefit-meshing-") as folder:
         for name, array, kind in (
             ("vertices", vertices, np.float64),
             ("faces", faces, np.int32),

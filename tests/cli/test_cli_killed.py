@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from kill_campaign import COMMANDS, Command, campaign, kill_at
+from kill_campaign import COMMANDS, Command, Moment, campaign, kill_at
 
 
 def test_a_killed_repair_starts_again(tmp_path):
     command = next(command for command in COMMANDS if command.name == "repair")
-    assert kill_at(command, tmp_path, after_s=1.5) == ""
+    assert kill_at(command, tmp_path, moment=Moment(cpu_s=1.5)) == ""
 
 
 @pytest.mark.slow

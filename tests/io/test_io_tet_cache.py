@@ -21,8 +21,9 @@ from musclefit.caches import default_cache_folder
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.meshing import cache as tet_cache
-from musclefit.meshing.cache import ABANDONED_S, TetCache, content_hash, default_limit_mb
+from musclefit.meshing.cache import TetCache, content_hash, default_limit_mb
 from musclefit.progress import Silent
+from musclefit.scratch import scratch_folder
 
 QUIET = Silent()
 RULES = LayerRules(edge_length_fraction=0.3, envelope_fraction=5e-3)
@@ -201,13 +202,13 @@ def test_what_is_larger_than_the_limit_is_not_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_only_abandoned_halves_are_removed(tmp_path: Path) -> None:
-    (tmp_path / "tets-old.tmp").write_bytes(b"half")
-    (tmp_path / "tets-new.tmp").write_bytes(b"half")
+def test_what_a_killed_process_was_writing_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".tets-killed").mkdir()
+    (tmp_path / ".tets-killed" / "tets.npz").write_bytes(b"half")
     (tmp_path / "mine.npz").write_bytes(b"not ours")
-    os.utime(tmp_path / "tets-old.tmp", (time.time() - 2 * ABANDONED_S,) * 2)
-    path = _kept(TetCache(tmp_path), 1)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["mine.npz", "tets-new.tmp", path.name])
+    with scratch_folder(".tets-", inside=tmp_path) as being_written:
+        path = _kept(TetCache(tmp_path), 1)
+        assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "mine.npz", being_written, path])
 
 
 @pytest.mark.usefixtures("quick")
@@ -281,7 +282,7 @@ def test_a_process_killed_while_writing_leaves_no_entry(tmp_path: Path, made: Te
     """)
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert ended.returncode == -9, ended.stderr
-    assert [p.suffix for p in folder.iterdir()] == [".tmp"]
+    assert [(p.name[:6], p.is_dir()) for p in folder.iterdir()] == [(".tets-", True)]
 
 
 def test_the_plan_says_what_it_takes_and_whether_it_is_there(tmp_path: Path, quick: None) -> None:

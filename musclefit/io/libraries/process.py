@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 
 from musclefit.errors import InputError
 from musclefit.progress import Tick
+from musclefit.scratch import scratch_folder
 
 _WORKER = Path(__file__).with_name("worker.py")
 _LINES = 3
@@ -52,8 +52,7 @@ def asked(
     InputError
         The library is not installed, says why it cannot do it, or ended.
     """
-    with tempfile.TemporaryDirectory(prefix="musclefit-") as name:
-        folder = Path(name)
+    with scratch_folder("musclefit-library-") as folder:
         arrays: dict[str, Any] = {key: np.asarray(value) for key, value in given.items()}
         np.savez(folder / "given.npz", **arrays)
         for file, data in files.items():

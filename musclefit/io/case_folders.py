@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter
 
 from musclefit._version import __version__
 from musclefit.io.atomic import write_atomically
@@ -96,20 +98,12 @@ def write_case(out: Path, outcome: CaseOutcome, cost: CaseCost) -> None:
 
 def read_case(out: Path, name: str) -> CaseOutcome | None:
     """What came of a case; None where it is not there whole."""
-    read = _read(case_folder(out, name) / CASE)
-    try:
-        return None if read is None else CaseOutcome(**{**read, "checks": tuple(read["checks"])})
-    except (TypeError, KeyError):
-        return None
+    return _read(_OUTCOME, case_folder(out, name) / CASE)
 
 
 def read_cost(out: Path, name: str) -> CaseCost | None:
     """What a case took; None where that is not there."""
-    read = _read(case_folder(out, name) / COST)
-    try:
-        return None if read is None else CaseCost(**read)
-    except TypeError:
-        return None
+    return _read(_COST, case_folder(out, name) / COST)
 
 
 def is_done(outcome: CaseOutcome | None, key: str) -> bool:
@@ -117,9 +111,16 @@ def is_done(outcome: CaseOutcome | None, key: str) -> bool:
     return outcome is not None and bool(key) and outcome.key == key and outcome.status != BROKE_OFF
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+_OUTCOME: TypeAdapter[CaseOutcome] = TypeAdapter(CaseOutcome)
+_COST: TypeAdapter[CaseCost] = TypeAdapter(CaseCost)
+
+
+_T = TypeVar("_T")
+
+
+def _read(kind: TypeAdapter[_T], path: Path) -> _T | None:
+    """What a file holds; None where it is not there, or not of this kind."""
     try:
-        read = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return kind.validate_python(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, RecursionError):
         return None
-    return read if isinstance(read, dict) else None

@@ -17,6 +17,7 @@ from musclefit.io.formats.texts import read_bytes
 from musclefit.io.formats.vtk_xml import VtkFile
 from musclefit.io.run_folder import REPORT_JSON
 from musclefit.report.model import SCHEMA_VERSION
+from musclefit.report.reading import wrong_in_run_report
 
 _KEYS = ("title", "verdict", "status", "method", "map", "tissues", "overlaps", "checks", "limits", "provenance")
 """What every report of a run has."""
@@ -53,6 +54,11 @@ class FinishedRun:
         frame = str(self.report["provenance"]["settings"]["anatomy"]["frame"])
         rest, deformed = [], []
         for told in self.report.get("surfaces", ()):
+            if told["name"] not in kinds:
+                raise InputError(
+                    f"{self.folder / REPORT_JSON} names a surface of {told['name']!r}, which is no tissue of it; run "
+                    "the rig again"
+                )
             before, after = _surface(self._inside(str(told["vtp"])))
             kind = TissueKind(kinds[told["name"]])
             rest.append(Tissue(told["name"], kind, before))
@@ -62,11 +68,15 @@ class FinishedRun:
     def _inside(self, name: str) -> Path:
         """A file of the run; a report may name none outside of its folder."""
         path = self.folder / name
-        if not path.resolve().is_relative_to(self.folder.resolve()):
+        try:
+            inside, there = path.resolve().is_relative_to(self.folder.resolve()), path.is_file()
+        except (OSError, ValueError):  # too long, or with characters that no name may have
+            inside = there = False
+        if not inside:
             raise InputError(
                 f"{self.folder / REPORT_JSON} names {name!r}, which is not in its folder; run the rig again"
             )
-        if not path.is_file():
+        if not there:
             raise InputError(f"{path} is missing, though {REPORT_JSON} names it; run the rig again")
         return path
 
@@ -98,6 +108,9 @@ def read_finished_run(folder: str | Path) -> FinishedRun:
             f"{path}: found schema version {report.get('schema_version')!r}; expected {SCHEMA_VERSION}: run the rig "
             "again with this version of musclefit"
         )
+    problem = wrong_in_run_report(report)
+    if problem:
+        raise InputError(f"{path} is not as a run writes it ({problem}); run the rig again")
     return FinishedRun(place, report)
 
 

@@ -18,6 +18,7 @@ from musclefit.io.formats.texts import read_bytes
 from musclefit.io.formats.vtk_xml import VtkFile
 from musclefit.io.run_folder import REPORT_JSON
 from musclefit.io.sequence_frames import PLAN, RECORD, REST, SURFACES, StoredFrame, read_frame
+from musclefit.report.reading import wrong_in_frame, wrong_in_sequence_report
 from musclefit.report.sequence import MADE, SEQUENCE_SCHEMA_VERSION, FrameSummary
 
 _KEYS = ("title", "verdict", "resampling", "limits", "checks", "frames", "provenance")
@@ -148,6 +149,9 @@ def read_finished_sequence(folder: str | Path) -> FinishedSequence:
             f"{report_path}: found schema version {report.get('schema_version')!r}; expected "
             f"{SEQUENCE_SCHEMA_VERSION}: {_AGAIN}"
         )
+    problem = wrong_in_sequence_report(report)
+    if problem:
+        raise InputError(f"{report_path} is not as a sequence writes it ({problem}); {_AGAIN}")
     if not isinstance(plan.get("tissues"), list) or not (place / REST).is_file():
         raise InputError(f"{place} holds no anatomy at rest ({REST}); {_AGAIN}")
     frame = str(report["provenance"]["settings"]["anatomy"]["frame"])
@@ -155,27 +159,43 @@ def read_finished_sequence(folder: str | Path) -> FinishedSequence:
 
 
 def _frames(folder: Path, plan: Mapping[str, Any]) -> tuple[FinishedFrame, ...]:
+    count = plan.get("frames")
+    if not isinstance(count, int) or count < 0:
+        raise InputError(f"{folder / PLAN}: found {count!r:.60} frames; expected a whole number; {_AGAIN}")
     found = []
-    for number in range(int(plan["frames"])):
+    for number in range(count):
         stored = read_frame(folder, number, key="")
         if isinstance(stored, str):
             raise InputError(f"{folder}: frame {number}: {stored}; {_AGAIN}")
         record = parse_json(read_bytes(stored.folder / RECORD), source=str(stored.folder / RECORD))
+        problem = wrong_in_frame(record["result"], stored.summary)
+        if problem:
+            raise InputError(f"{stored.folder / RECORD} is not as a sequence writes it ({problem}); {_AGAIN}")
         found.append(FinishedFrame(stored, record["result"]))
     return tuple(found)
 
 
-def _rest(path: Path, told: list[Mapping[str, Any]], frame: str) -> Anatomy:
+def _rest(path: Path, told: list[Any], frame: str) -> Anatomy:
     """The anatomy at rest from its file, cut into tissues."""
     file = VtkFile(read_bytes(path), str(path), kind="PolyData")
     points, faces = file.points(), _triangles(file, path)
-    counts = [(int(one["vertices"]), int(one["triangles"])) for one in told]
+    try:
+        listed = [
+            (str(one["name"]), TissueKind(one["kind"]), int(one["vertices"]), int(one["triangles"])) for one in told
+        ]
+    except (TypeError, KeyError, ValueError, OverflowError):
+        raise InputError(
+            f"{path.with_name(PLAN)} lists tissues otherwise than a sequence writes them; {_AGAIN}"
+        ) from None
+    counts = [(vertices, triangles) for _, _, vertices, triangles in listed]
+    if min(map(min, counts), default=0) < 0:
+        raise InputError(f"{path.with_name(PLAN)} lists tissues of negative size; {_AGAIN}")
     if (sum(v for v, _ in counts), sum(f for _, f in counts)) != (len(points), len(faces)):
         raise InputError(f"{path} and {PLAN} tell of different tissues; {_AGAIN}")
     tissues, v, f = [], 0, 0
-    for one, (vertices, triangles) in zip(told, counts, strict=True):
+    for name, kind, vertices, triangles in listed:
         own = faces[f : f + triangles] - v
-        tissues.append(Tissue(str(one["name"]), TissueKind(one["kind"]), TriMesh(_part(points, v, vertices), own)))
+        tissues.append(Tissue(name, kind, TriMesh(_part(points, v, vertices), own)))
         v, f = v + vertices, f + triangles
     return Anatomy(tuple(tissues), frame)
 

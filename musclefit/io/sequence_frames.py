@@ -137,7 +137,7 @@ def read_frame(sequence: Path, number: int, *, key: str) -> StoredFrame | str:
         if key and record["key"] != key:
             return "made with other settings, inputs or times"
         return StoredFrame(summary_of(record), folder, record["files"].get(VERTICES, ""))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         return f"{RECORD} cannot be read ({type(error).__name__}: {error})"
 
 

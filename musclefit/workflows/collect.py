@@ -8,7 +8,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import StringConstraints, TypeAdapter
 
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically, write_bytes_atomically
@@ -23,6 +25,26 @@ STUDY_JSON, OUTCOMES_CSV, OUTCOMES_PARQUET = "study.json", "outcomes.csv", "outc
 CHECKS_CSV, COSTS_CSV, COHORT_HTML = "checks.csv", "costs.csv", "cohort.html"
 
 _THUMBNAIL_PX = 256
+
+
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """A case as `write_study_json` tells it."""
+
+    name: Annotated[str, StringConstraints(pattern=r"^[^/\\\x00]{1,200}$")]
+    subject: str
+    rig: str
+    motion: str
+    facts: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Study:
+    title: str
+    cases: list[_Case]
+
+
+_STUDY: TypeAdapter[_Study] = TypeAdapter(_Study)
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -175,12 +197,12 @@ def require_pyarrow() -> Any:
     return pyarrow
 
 
-def _outcome(out: Path, case: Mapping[str, Any]) -> CaseOutcome:
+def _outcome(out: Path, case: _Case) -> CaseOutcome:
     """What came of a case, with the facts that the study tells of its subject now."""
-    found = read_case(out, case["name"])
+    found = read_case(out, case.name)
     if found is None:
-        return CaseOutcome(**case, status=MISSING, reason="it was not run, or not to its end")
-    return replace(found, facts=case["facts"])
+        return CaseOutcome(**asdict(case), status=MISSING, reason="it was not run, or not to its end")
+    return replace(found, facts=case.facts)
 
 
 def _sizes(sizes: Mapping[str, Any]) -> dict[str, Any]:
@@ -189,14 +211,14 @@ def _sizes(sizes: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _read_study_json(out: Path) -> tuple[str, list[dict[str, Any]]]:
+def _read_study_json(out: Path) -> tuple[str, list[_Case]]:
     try:
-        read = json.loads((out / STUDY_JSON).read_text(encoding="utf-8"))
-        return read["title"], read["cases"]
-    except (OSError, ValueError, KeyError, TypeError):
+        told = _STUDY.validate_python(json.loads((out / STUDY_JSON).read_text(encoding="utf-8")))
+    except (OSError, ValueError, RecursionError):
         raise InputError(
             f"{out} holds no {STUDY_JSON} of a study; give the folder that musclefit batch wrote"
         ) from None
+    return told.title, told.cases
 
 
 def _thumbnail(pictures: Path) -> bytes | None:

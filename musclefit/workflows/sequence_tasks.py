@@ -11,6 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from musclefit.errors import MusclefitError
 from musclefit.geometry.arrays import Points
@@ -106,6 +107,9 @@ def write_between(folder: Path, summary: BetweenSummary, *, key: str) -> None:
     write_atomically(folder / BETWEEN / f"{summary.first:04d}.json", json.dumps(record))
 
 
+_SUMMARY: TypeAdapter[BetweenSummary] = TypeAdapter(BetweenSummary)
+
+
 def read_between(folder: Path, number: int) -> BetweenSummary | None:
     """What was found between a frame and the next; None where the frames have changed since, or nothing is there."""
     path = folder / BETWEEN / f"{number:04d}.json"
@@ -114,8 +118,8 @@ def read_between(folder: Path, number: int) -> BetweenSummary | None:
         ends = [frame_folder(folder, k) / VERTICES for k in (number, number + 1)]
         if record.pop("key") != between_key(*ends):
             return None
-        return BetweenSummary(**{**record, "passages": tuple(PassageSummary(**p) for p in record["passages"])})
-    except (OSError, ValueError, KeyError, TypeError):
+        return _SUMMARY.validate_python(record)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
 
 

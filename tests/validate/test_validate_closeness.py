@@ -97,3 +97,19 @@ def test_check_fails_on_what_is_closer_than_stated(tmp_path: Path, capsys: pytes
     assert "muscle_b is thinner than 0.6 mm over" in " ".join(capsys.readouterr().out.split())
     assert main(["check", str(tmp_path), "--thinnest-mm", "-1"]) == 2
     assert "thinnest_mm: found -1; give a length of at least 0 mm" in capsys.readouterr().err
+
+
+def test_gaps_tell_how_far_they_are() -> None:
+    told: dict[str, list[float]] = {}
+
+    class Watched:
+        @contextmanager
+        def stage(self, name: str) -> Iterator[Tick]:
+            yield told.setdefault(name, []).append
+
+    blocks = [box((10.5 * k, 0.0, 0.0), (10.5 * k + 10.0, 10.0, 10.0)) for k in range(4)]
+    tissues = [Tissue(f"muscle_{k}", TissueKind.MUSCLE, block) for k, block in enumerate(blocks)]
+    solids = solid_anatomy(Anatomy(tuple(tissues), frame="unspecified"), progress=Silent())
+    findings = close_findings(solids, thinnest_mm=0.0, smallest_gap_mm=1.0, progress=Watched())
+    assert len(findings) == 3
+    assert told["gaps"] == [1 / 3, 2 / 3, 1.0]

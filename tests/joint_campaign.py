@@ -42,7 +42,10 @@ def varied(name: str, fits: int) -> Iterator[KnownJoint]:
 
 
 def synthetic(fits: int) -> None:
-    print("| joint | fits | angle off, median / 95 % / most | place off, at scale 1 | within 2 told deviations |")
+    print(
+        "| joint | fits | angular error, median / 95 % / largest | position error, at scale 1 | "
+        "within 2 stated deviations |"
+    )
     print("|---|---|---|---|---|")
     for name in SHAPES:
         angles, places, within = [], [], []
@@ -96,7 +99,7 @@ def real(data: Path) -> Iterator[KnownJoint]:
 
 
 def of_real_bones(data: Path) -> None:
-    print("| joint | angle off | place off | told deviation | believable |\n|---|---|---|---|---|")
+    print("| joint | angular error | position error | stated deviation | believable |\n|---|---|---|---|---|")
     for known in real(data):
         axes = known.axes / np.linalg.norm(known.axes, axis=1, keepdims=True)
         found = fitted_joint(known.fixed, known.moving, kind=known.kind)

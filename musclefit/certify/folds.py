@@ -45,7 +45,7 @@ CANDIDATES = 16
 BRANCH_STEPS, BRANCH_NEWTON = 16, 8
 """Strengths that the branch of a midpoint is followed through, and Newton steps at each."""
 
-ACROSS = (-8.0, -4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)
+ACROSS = tuple(sign * 2.0**k for k in range(-11, 4, 2) for sign in (-1.0, 1.0))
 """Strides across a fold from which a second midpoint is looked for."""
 
 STARTS = 48

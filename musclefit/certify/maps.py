@@ -85,6 +85,9 @@ be made of what is inside the first, unless a step is too steep for its surface 
 CELLS_PER_VOXEL = 1.6
 """Cells of regions along their longest side, for each voxel of the shell."""
 
+NEAR = 0.01
+"""Of the stride of other searches: that around a place where a proof by pairs met reversed orientation."""
+
 SAMPLES = 8000
 """Grid points of the body's bounding box that a search for a fold looks at first."""
 
@@ -219,16 +222,7 @@ def _judge(
             for_pairs = (1.0 - kept_share) * (budget - step.boxes_examined) if pairs_share else 0.0
             step, domain = trial.by_pairs(step, round(for_pairs), part)
             if step.claim is not Claim.CERTIFIED:
-                fold = find_second_midpoint(
-                    steps,
-                    number,
-                    starts,
-                    stride=stride,
-                    samples=body.samples(),
-                    inside=body.inside,
-                    surely_inside=body.surely_inside,
-                    among=trial.domain.contains,
-                )
+                fold = trial.fold_after_pairs(steps, number, starts, stride, body)
                 if fold:
                     found.append(replace(step, claim=Claim.REFUTED))
                     return tuple(found), fold
@@ -433,6 +427,7 @@ class _Trial:
 
     def __init__(self, kind: StepKind, field: Field, body: _Body) -> None:
         self.kind, self.field, self.cells = kind, field, body.cells
+        self.collapsed: Points = np.zeros((0, body.cover.points.shape[1]))
         self.midpoints: Midpoints | None = body.midpoints(field) if kind is StepKind.CAYLEY else None
         held = body.cover if self.midpoints is None else Cover(self.midpoints.points, self.midpoints.radii)
         kept = np.isfinite(held.points).all(axis=1) & np.isfinite(held.radii)
@@ -503,6 +498,8 @@ class _Trial:
         proof: PairProof = prove_one_to_one(self.field, factors, region, max_boxes=max_boxes, tick=tick)
         low, high = region.bounds
         certified = proof.margin > 0.0
+        if proof.sampled_margin < 0.0:
+            self.collapsed = proof.place[None]
         found = replace(
             step,
             claim=Claim.CERTIFIED if certified else Claim.UNDECIDED,
@@ -524,6 +521,35 @@ class _Trial:
             ),
             region,
         )
+
+    def fold_after_pairs(
+        self, steps: Sequence[tuple[StepKind, Field]], number: int, starts: Points, stride: float, body: _Body
+    ) -> tuple[Fold, ...]:
+        """A fold where a proof by pairs met a place with reversed orientation, or a place with two midpoints."""
+        samples = body.samples()
+        fold: tuple[Fold, ...] = ()
+        if len(self.collapsed):
+            fold = find_fold(
+                steps,
+                number,
+                self.collapsed,
+                stride=NEAR * stride,
+                samples=samples[:0],
+                inside=body.inside,
+                surely_inside=body.surely_inside,
+            )
+        if not fold and self.kind is StepKind.CAYLEY:
+            fold = find_second_midpoint(
+                steps,
+                number,
+                np.concatenate([self.collapsed, starts]),
+                stride=stride,
+                samples=samples,
+                inside=body.inside,
+                surely_inside=body.surely_inside,
+                among=self.domain.contains,
+            )
+        return fold
 
     def suspects(self, proof: BoxProof | None) -> tuple[Points, float]:
         """Where to look for a fold first, and how far around."""

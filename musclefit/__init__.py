@@ -2,8 +2,9 @@
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `check_mesh`, `repair`,
 `cage`, `fit_body`, `fit_joint`, `from_labels`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`,
-`warp_deck`, `export`, `export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They and what they give
-back are stable, as are the other names of this module; what is in the rooms below may change with any version.
+`warp_deck`, `export`, `export_motion`, `export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They
+and what they give back are stable, as are the other names of this module; what is in the rooms below may change with
+any version.
 """
 
 from importlib import import_module as _import_module
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.collect import collect
     from musclefit.workflows.compare import compare
     from musclefit.workflows.export import export
+    from musclefit.workflows.export_motion import export_motion
     from musclefit.workflows.export_osim import export_osim
     from musclefit.workflows.febio_model import febio_model
     from musclefit.workflows.fit_body import fit_body
@@ -91,6 +93,7 @@ _HOMES = {
     "collect": "workflows.collect",
     "compare": "workflows.compare",
     "export": "workflows.export",
+    "export_motion": "workflows.export_motion",
     "export_osim": "workflows.export_osim",
     "febio_model": "workflows.febio_model",
     "find_rig": "io.rigs",
@@ -155,6 +158,7 @@ __all__ = [
     "collect",
     "compare",
     "export",
+    "export_motion",
     "export_osim",
     "febio_model",
     "find_rig",

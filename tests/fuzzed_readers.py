@@ -375,9 +375,13 @@ def _fibres(path: Path) -> object:
 
 
 def _fibre_files() -> list[bytes]:
-    from musclefit.io.formats.fibre_directions import fibre_bytes
+    from musclefit.geometry.meshes import TriMesh
+    from musclefit.io.formats.fibre_directions import HeldArea, MuscleFibres, fibre_bytes
 
-    return [fibre_bytes({"a": (np.zeros((4, 3)), np.ones((4, 3))), "b": (np.ones((2, 3)), np.ones((2, 3)))})]
+    area = HeldArea("bone", TriMesh(np.eye(3), np.array([[0, 1, 2]])))
+    one = MuscleFibres(np.zeros((4, 3)), np.ones((4, 3)), (area,))
+    other = MuscleFibres(np.ones((2, 3)), np.ones((2, 3)))
+    return [fibre_bytes({"a": one, "b": other})]
 
 
 def _study(path: Path) -> object:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 PASSED = 0
 
+SHARE_TOLD = 0.01
+"""A muscle is named where fibres are more than doubled, or halved, in a larger share of its volume."""
+
 
 def architecture(
     rig: Annotated[str, Parameter(help="A rig file, or the name of a built-in rig.")],
@@ -90,10 +93,12 @@ def _print(found: Architecture) -> None:
     console.print(Text(f"Attachments: within {found.within_mm:.3g} mm of bone. {found.claim}."))
     carried = {row.name: row for row in found.carried}
     width = max((len(row.name) for row in found.muscles), default=0)
-    console.print(Text(f"{'':<{width}}  fibre mm  path mm  pennation deg  PCSA mm2  stretch (min, mean, max)"))
+    console.print(Text(f"{'':<{width}}  fibre mm  path mm  pennation deg  PCSA mm2  stretch (1 %, mean, 99 %, max)"))
     for row in found.muscles:
         after = carried.get(row.name)
-        stretch = f"{after.stretch_min:.2f} {after.stretch_mean:.3f} {after.stretch_max:.2f}" if after else ""
+        stretch = ""
+        if after:
+            stretch = f"{after.stretch_p1:.2f} {after.stretch_mean:.3f} {after.stretch_p99:.2f} {after.stretch_max:.2f}"
         console.print(
             Text(
                 f"{row.name:<{width}}  {row.fibre_mm:8.1f} {row.path_mm:8.1f}  {row.pennation_deg:13.1f}  "
@@ -103,5 +108,9 @@ def _print(found: Architecture) -> None:
     for row in found.muscles:
         if row.note:
             console.print(Text(f"{row.name}: {row.note}"))
+    for after in found.carried:
+        if after.doubled_share > SHARE_TOLD:
+            share = 100.0 * after.doubled_share
+            console.print(Text(f"{after.name}: fibres are more than doubled or halved in {share:.2g} % of its volume"))
     for name, reason in found.left_out.items():
         console.print(Text(f"{name}: no fibres: {reason}"))

@@ -26,6 +26,7 @@ from musclefit.cli.check_mesh import check_mesh
 from musclefit.cli.collect import collect
 from musclefit.cli.compare import compare
 from musclefit.cli.export import export
+from musclefit.cli.export_motion import export_motion
 from musclefit.cli.export_osim import export_osim
 from musclefit.cli.febio_model import febio_model
 from musclefit.cli.fit_body import fit_body
@@ -240,6 +241,7 @@ app.command(import_osim, name="import-osim", sort_key=5)
 app.command(label_surfaces, name="label-surfaces", sort_key=5)
 app.command(from_labels, name="from-labels", sort_key=5)
 app.command(export, sort_key=5)
+app.command(export_motion, name="export-motion", sort_key=5)
 app.command(check_mesh, name="check-mesh", sort_key=5)
 app.command(sequence, name="sequence", sort_key=6)
 app.command(fit_joint, name="fit-joint", sort_key=7)

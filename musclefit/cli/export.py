@@ -27,6 +27,14 @@ def export(
     msh: Annotated[
         Literal["4.1", "2.2"], Parameter(name="--msh", help="Version of a .msh file.", show_default=True)
     ] = "4.1",
+    fibres: Annotated[
+        Path | None,
+        Parameter(
+            name="--fibres",
+            help="The folder that musclefit architecture wrote for the same anatomy and pose: orientations in .inp, "
+            "directions in .msh and .vtu.",
+        ),
+    ] = None,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
@@ -34,7 +42,7 @@ def export(
     from musclefit.io.formats.solvers import PLACEHOLDER
     from musclefit.workflows.export import export as write
 
-    tets = write(run, out, shape=shape, quadratic=quadratic, msh=msh)
+    tets = write(run, out, shape=shape, quadratic=quadratic, msh=msh, fibres=fibres)
     sets = tets.sets
     if json:
         told = {"file": str(out), "nodes": len(tets.vertices), "tetrahedra": len(tets.tets)}

@@ -18,17 +18,32 @@ def febio_model(
     out: Annotated[Path, Parameter(help="The .feb file to write; replaced.")],
     /,
     *,
+    sliding: Annotated[
+        bool,
+        Parameter(
+            name="--sliding",
+            negative="",
+            help="Leave the filler out: tissues have nodes of their own and slide where they face each other.",
+        ),
+    ] = False,
+    facing_mm: Annotated[
+        float | None,
+        Parameter(
+            name="--facing-mm",
+            help="How far apart tissues may be that slide on each other; the mean edge of their triangles without it.",
+        ),
+    ] = None,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
     """Write an FEBio 4 model: bones moved from rest into the run's pose, muscles with fibres, soft filler between."""
     from musclefit.workflows.febio_model import febio_model as write
 
-    made = write(run, architecture, out)
+    made = write(run, architecture, out, sliding=sliding, facing_mm=facing_mm)
     if json:
         print_json(made.to_json())
     elif not quiet:
         print(made.said())
-        for name in made.without_fibres:
-            print(f"{name}: no fibres, written as soft tissue")
+        for line in made.told:
+            print(line)
     return PASSED

@@ -7,6 +7,9 @@ is the close area of the one bone that comes nearest to that end, if the area re
 is at least `LEAST_SHARE` of the muscle's thin sections. A bone that comes nearest to both ends is taken at the end that
 its area's median is nearer to. Other bones that are touched are named.
 Distance cannot tell an attachment from a tendon that passes close by: what is known better goes into a file.
+
+Measured is the surface, not the vertices that a file happens to have: it is cut until no place of it is farther from a
+sample than the distance that counts as close, and for clearances than `CLEARANCE_SECTIONS` says.
 """
 
 from __future__ import annotations
@@ -23,14 +26,17 @@ from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import DistanceTree, nearest_places
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.geometry.surfaces.sections import position_along, sections_along
-from musclefit.geometry.surfaces.subdivision import with_short_edges
 
 LEAST_SHARE = 0.5
 """An attachment is at least this share of the muscle's thin sections (the lowest tenth of them) in area."""
 
 WITHIN_SECTIONS = 0.1
 """Close is closer than the usual clearance and this share of the side of a square as large as the median section."""
+
+CLEARANCE_SECTIONS = 0.05
+"""Clearances are measured at samples this share of the side of a square as large as the median section apart."""
 
 FREE_SHARE = 0.01
 """Of a free end, this share of the muscle's surface stands for what is not there: a cut, or an end in soft tissue."""
@@ -173,9 +179,10 @@ def usual_distance_mm(anatomy: Anatomy) -> float:
             "in [anatomy.kinds]"
         )
     trees = [DistanceTree(bone.surface) for bone in bones]
-    clearances = [_clearance(muscle.surface, bones, trees) for muscle in muscles]
-    thickness = [np.sqrt(np.median(_section_areas(muscle))) for muscle in muscles]
-    return float(np.median(clearances)) + WITHIN_SECTIONS * float(np.median(thickness))
+    thickness = float(np.median([np.sqrt(np.median(_section_areas(muscle))) for muscle in muscles]))
+    spacing = CLEARANCE_SECTIONS * thickness
+    clearances = [_clearance(muscle.surface, bones, trees, spacing_mm=spacing) for muscle in muscles]
+    return float(np.median(clearances)) + WITHIN_SECTIONS * thickness
 
 
 def find_ends(
@@ -227,7 +234,7 @@ def _ends_of(
     stated: Mapping[End, StatedEnd],
     travel: Mapping[str, float],
 ) -> MuscleEnds:
-    surface = with_short_edges(muscle.surface, longest_mm=2.0 * within_mm)
+    surface = surface_samples(muscle.surface, spacing_mm=within_mm).mesh
     middles = surface.corners().mean(axis=1)
     areas = np.linalg.norm(area_vectors(surface), axis=1)
     looked = _Looked(
@@ -412,12 +419,12 @@ def _require_known(said: StatedEnd, *, muscles: Mapping[str, Tissue], bones: Seq
         raise InputError(f"{said.muscle}: its {said.end.value} is given by vertices; name the bone too")
 
 
-def _clearance(surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree]) -> float:
-    """The smallest distance of a surface's vertices from any bone, mm."""
-    smallest = np.inf
+def _clearance(surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree], *, spacing_mm: float) -> float:
+    """The smallest distance of a surface from any bone at samples, mm; too large by the spacing at most."""
+    places, smallest = surface_samples(surface, spacing_mm=spacing_mm).points, np.inf
     for gap, number in sorted((_box_gap(surface, bone.surface), k) for k, bone in enumerate(bones)):
         if gap < smallest:
-            smallest = min(smallest, float(trees[number](surface.vertices).min()))
+            smallest = min(smallest, float(trees[number](places).min()))
     return float(smallest)
 
 

@@ -66,6 +66,17 @@ class FibreField:
     left_out_share: float
     even_flux: bool = False
 
+    @property
+    def used(self) -> Int:
+        """The numbers of the tets that have a direction."""
+        found: Int = np.flatnonzero(np.linalg.norm(self.directions, axis=1) > 0.0)
+        return found
+
+    def placed_directions(self) -> tuple[Points, Points]:
+        """The middles of the tets that have a direction, mm, and the directions."""
+        used = self.used
+        return self.mesh.vertices[self.mesh.tets[used]].mean(axis=1), self.directions[used]
+
 
 def laplace_fibres(mesh: TetMesh, *, origin: TriMesh, insertion: TriMesh, within_mm: float) -> FibreField:
     """Fibre directions between two areas of a muscle's surface.

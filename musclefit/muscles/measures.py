@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points
 from musclefit.geometry.measures import area_vectors, enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.quantiles import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.sections import Sections, position_along, sections_along
 from musclefit.muscles.attachments import Attachment, MuscleEnds
@@ -25,6 +26,9 @@ from musclefit.muscles.streamlines import Streamlines
 
 BELLY_SHARE = 0.25
 """Where the cross-section is below this share of its largest, a muscle is taken for tendon."""
+
+DOUBLED = 2.0
+"""A fibre that is so many times as long as at rest, or shorter by as much, is no fibre of a muscle at work."""
 
 Mapped = Callable[[Points], tuple[Points, Gradients]]
 """Where a map takes (N, 3) points, mm, and its derivatives (N, 3, 3) there."""
@@ -106,7 +110,12 @@ class MuscleArchitecture:
 
 @dataclass(frozen=True, slots=True)
 class CarriedMuscle:
-    """One muscle after a map; ratios are over rest. ``off_bone`` is None where no rigid motion of the bone is known."""
+    """One muscle after a map; ratios are over rest.
+
+    ``stretch_p1`` and ``stretch_p99`` are not exceeded in 1 and 99 hundredths of the volume, ``doubled_share`` is the
+    share of the volume where fibres are more than twice as long as at rest, or less than half. ``off_bone`` is None
+    where no rigid motion of the bone is known.
+    """
 
     name: str
     path_mm: float
@@ -114,7 +123,10 @@ class CarriedMuscle:
     pennation_deg: float
     stretch_mean: float
     stretch_min: float
+    stretch_p1: float
+    stretch_p99: float
     stretch_max: float
+    doubled_share: float
     section_ratio_mean: float
     origin_area_ratio: float
     origin_off_bone_mm: float | None
@@ -272,24 +284,28 @@ def measure_carried(
     *,
     belly: Belly,
     mapped: Mapped,
+    placed: Callable[[Points], Points],
     motions: Mapping[str, RigidMotion],
-) -> tuple[CarriedMuscle, Points]:
-    """The numbers of one muscle after a map, and where it takes the points of all its streamlines, mm.
+) -> tuple[CarriedMuscle, CarriedDirections, Points]:
+    """The numbers of one muscle after a map, its fibres there, and where it takes the points of its streamlines, mm.
 
     Parameters
     ----------
+    mapped, placed : callable
+        The map with its derivatives, and without, which is quicker.
     motions : mapping of bone to RigidMotion
         Of bones that move rigidly.
     """
     lines = Lines.of(found, belly)
     volumes = signed_volumes(field.mesh.vertices, field.mesh.tets)
-    used = np.flatnonzero(np.linalg.norm(field.directions, axis=1) > 0.0)
-    middles = field.mesh.vertices[field.mesh.tets[used]].mean(axis=1)
-    fibres = carried_directions(mapped, middles, field.directions[used])
-    points, vertices = mapped(lines.points)[0], mapped(surface.vertices)[0]
+    used = field.used
+    fibres = carried_directions(mapped, *field.placed_directions())
+    points, vertices = placed(lines.points), placed(surface.vertices)
     paths, lengths, angles = lines.measure(points, belly.directions(vertices, lines.position), count=len(found.points))
     whole = found.complete & (lengths > 0.0)
-    areas, off, middle = zip(*(_carried_end(end, mapped, motions) for _, end in ends.ends), strict=True)
+    low, high = (weighted_quantile(fibres.stretch, volumes[used], share) for share in (0.01, 0.99))
+    beyond = (fibres.stretch > DOUBLED) | (fibres.stretch < 1.0 / DOUBLED)
+    areas, off, middle = zip(*(_carried_end(end, placed, motions) for _, end in ends.ends), strict=True)
     return (
         CarriedMuscle(
             name=ends.muscle,
@@ -298,6 +314,9 @@ def measure_carried(
             pennation_deg=_mean(angles[whole]),
             stretch_mean=float(np.average(fibres.stretch, weights=volumes[used])),
             stretch_min=float(fibres.stretch.min()),
+            stretch_p1=low,
+            stretch_p99=high,
+            doubled_share=float(volumes[used][beyond].sum() / volumes[used].sum()),
             stretch_max=float(fibres.stretch.max()),
             section_ratio_mean=float(np.average(fibres.section_ratio, weights=volumes[used])),
             origin_area_ratio=areas[0],
@@ -307,21 +326,22 @@ def measure_carried(
             centroid_line_mm=float(np.linalg.norm(middle[1] - middle[0])),
             centroid_line_rest_mm=float(np.linalg.norm(ends.insertion.centroid_mm - ends.origin.centroid_mm)),
         ),
+        fibres,
         points,
     )
 
 
 def _carried_end(
-    end: Attachment, mapped: Mapped, motions: Mapping[str, RigidMotion]
+    end: Attachment, placed: Callable[[Points], Points], motions: Mapping[str, RigidMotion]
 ) -> tuple[float, float | None, Points]:
     """Area over that at rest, how far the map leaves the bone beneath at most, and where the centroid goes."""
-    moved = end.surface.with_vertices(mapped(end.surface.vertices)[0])
+    moved = end.surface.with_vertices(placed(end.surface.vertices))
     areas = np.linalg.norm(area_vectors(moved), axis=1)
     ratio = float(areas.sum()) / end.area_mm2
     middle = np.average(moved.corners().mean(axis=1), axis=0, weights=areas)
     if end.bone not in motions:
         return ratio, None, middle
-    off = np.linalg.norm(mapped(end.feet)[0] - motions[end.bone](end.feet), axis=1)
+    off = np.linalg.norm(placed(end.feet) - motions[end.bone](end.feet), axis=1)
     return ratio, float(off.max()), middle
 
 

@@ -18,7 +18,7 @@ from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.attachments import read_attachments
-from musclefit.io.formats.fibre_directions import FIBRES, fibre_bytes
+from musclefit.io.formats.fibre_directions import FIBRES, HeldArea, MuscleFibres, fibre_bytes
 from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.rigs import read_rig
@@ -29,6 +29,7 @@ from musclefit.muscles.attachments import MuscleEnds, find_ends, usual_distance_
 from musclefit.muscles.fibres import FibreField, laplace_fibres
 from musclefit.muscles.measures import (
     Belly,
+    CarriedDirections,
     CarriedMuscle,
     MuscleArchitecture,
     belly_of,
@@ -73,6 +74,8 @@ class FibredMuscle:
     belly : Belly
     carried_points : (p, 3) float64 or None
         Where the map takes the points of all lines, mm; None where nothing was deformed.
+    carried : CarriedDirections or None
+        The directions of the field after the map, in the middles of the tetrahedra that have one.
     """
 
     ends: MuscleEnds
@@ -80,6 +83,7 @@ class FibredMuscle:
     lines: Streamlines
     belly: Belly
     carried_points: Points | None = None
+    carried: CarriedDirections | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -260,17 +264,18 @@ def _carry(
     carried = []
     with progress.stage("carry fibres") as tick:
         for done, (name, one) in enumerate(fibred.items(), start=1):
-            row, points = measure_carried(
+            row, fibres, points = measure_carried(
                 job.anatomy[name].surface,
                 one.ends,
                 one.field,
                 one.lines,
                 belly=one.belly,
                 mapped=deformation.with_jacobian,
+                placed=deformation,
                 motions=motions,
             )
             carried.append(row)
-            fibred[name] = replace(one, carried_points=points)
+            fibred[name] = replace(one, carried_points=points, carried=fibres)
             tick(done / len(fibred))
     return tuple(carried)
 
@@ -394,17 +399,21 @@ def _write(found: Architecture, folder: Path) -> None:
     files = {
         f"{name}.csv": csv_text([h, *(row.values() for row in report[name])]).encode() for name, h in headings.items()
     }
-    files[FIBRES] = fibre_bytes({name: _directions(one.field) for name, one in found.fibred.items()})
+    files[FIBRES] = fibre_bytes({name: _stored(one) for name, one in found.fibred.items()})
     files["fibres.vtk"] = _fibres_vtk(found, carried=False)
     if found.carried:
         files["fibres_carried.vtk"] = _fibres_vtk(found, carried=True)
     write_surfaces(folder, files, report=report, by=Maker.ARCHITECTURE)
 
 
-def _directions(field: FibreField) -> tuple[Points, Points]:
-    """The middles of the tetrahedra that have a direction, and the directions."""
-    used = np.linalg.norm(field.directions, axis=1) > 0.0
-    return field.mesh.vertices[field.mesh.tets[used]].mean(axis=1), field.directions[used]
+def _stored(one: FibredMuscle) -> MuscleFibres:
+    """The directions in the middles of the tetrahedra that have one, at rest and carried, and the areas on bone."""
+    places, directions = one.field.placed_directions()
+    held = tuple(HeldArea(at.bone, at.surface) for _, at in one.ends.ends if at.bone)
+    if one.carried is None:
+        return MuscleFibres(places, directions, held)
+    along = one.carried.stretch[:, None] * one.carried.directions
+    return MuscleFibres(places, directions, held, one.carried.places, along)
 
 
 def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:

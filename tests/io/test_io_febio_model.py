@@ -19,7 +19,7 @@ from musclefit.cli import main
 from musclefit.errors import InputError
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.febio_model import MUSCLE, STEPS, FebioModel, write_febio_model
-from musclefit.io.formats.fibre_directions import fibre_bytes, read_fibres
+from musclefit.io.formats.fibre_directions import HeldArea, MuscleFibres, fibre_bytes, read_fibres
 from musclefit.io.formats.solvers import LabelledTets
 from musclefit.io.run_folder import DeformedTets, labelled_tets
 
@@ -185,13 +185,15 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
     report = {"title": "Two", "tissues": tissues}
     (run / "report.json").write_text(json.dumps(report), encoding="utf-8")
     places = rest.mesh.vertices[rest.mesh.tets[rest.tissue_of_tet == 0]].mean(axis=1)
-    (fibres / "fibres.npz").write_bytes(fibre_bytes({"muscle": (places, np.tile([1.0, 0.0, 0.0], (len(places), 1)))}))
+    held = HeldArea("bone", rest.anatomy["muscle"].surface)
+    along = MuscleFibres(places, np.tile([1.0, 0.0, 0.0], (len(places), 1)), (held,))
+    (fibres / "fibres.npz").write_bytes(fibre_bytes({"muscle": along}))
     return run, fibres
 
 
 def test_the_command_writes_a_model_at_rest(folders: tuple[Path, Path], tmp_path: Path, capsys) -> None:
     assert main(["febio-model", *map(str, folders), str(tmp_path / "arm.feb")]) == 0
-    assert "1 rigid bodies, 1 muscles with fibres; bones off the run by" in capsys.readouterr().out
+    assert "1 muscles with fibres, 1 ties, 0 sliding pairs; bones off the run by" in capsys.readouterr().out
     root = ET.parse(tmp_path / "arm.feb").getroot()
     points = np.array([numbers(node.text) for node in root.iterfind("Mesh/Nodes/node")])
     np.testing.assert_array_equal(points, two_tissues((4, 2, 2)).mesh.vertices)
@@ -206,13 +208,15 @@ def test_a_run_of_the_built_in_limb_becomes_a_model(tmp_path: Path) -> None:
     of_kind = {kind: {t.name for t in run.report.result.tissues if t.kind == kind} for kind in ("bone", "muscle")}
     assert set(made.model.motions) == of_kind["bone"]
     assert made.model.muscles == of_kind["muscle"]
+    assert {pair.primary for pair in made.ties} == of_kind["muscle"]
+    slid = mf.febio_model(tmp_path / "run", tmp_path / "fibres", tmp_path / "sliding.feb", sliding=True)
+    assert slid.facing_mm is not None
+    assert len(slid.model.contacts) > len(slid.ties) >= len(of_kind["muscle"])
     assert max(made.bones_off_mm.values()) < 1e-6
     corners = made.model.tets.vertices[made.model.tets.tets]
     assert (np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0.0).all()
     root = ET.parse(tmp_path / "limb.feb").getroot()
-    assert len(list(root.iterfind("Mesh/Elements/tet4"))) + len(list(root.iterfind("Mesh/Elements/elem"))) == len(
-        corners
-    )
+    assert len(list(root.iterfind("Mesh/Elements/elem"))) == len(corners)
 
 
 def test_what_is_no_fibres_or_no_feb_is_refused(folders: tuple[Path, Path], tmp_path: Path, capsys) -> None:
@@ -235,7 +239,37 @@ def test_a_damaged_report_is_refused(damaged: str, folders: tuple[Path, Path], t
 
 def test_fibres_are_read_back(tmp_path: Path) -> None:
     places = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    (tmp_path / "fibres.npz").write_bytes(fibre_bytes({"a": (places[:1], places[:1]), "b": (places[1:], places[1:])}))
+    area = HeldArea("bone + other", two_tissues((2, 2, 2)).anatomy["muscle"].surface)
+    given = {
+        "a": MuscleFibres(places[:1], places[1:], (), places[:1] + 1.0, places[1:] * 2.0),
+        "b": MuscleFibres(places[1:], places[:1], (area, area), places[1:] + 1.0, places[:1] * 2.0),
+    }
+    (tmp_path / "fibres.npz").write_bytes(fibre_bytes(given))
     found = read_fibres(tmp_path / "fibres.npz")
     assert list(found) == ["a", "b"]
-    np.testing.assert_array_equal(found["b"][0], places[1:])
+    for name, one in given.items():
+        for kind in ("places", "directions", "moved", "carried"):
+            np.testing.assert_array_equal(getattr(found[name], kind), getattr(one, kind))
+    assert (len(found["a"].held), [held.bone for held in found["b"].held]) == (0, ["bone + other"] * 2)
+    np.testing.assert_array_equal(found["b"].held[1].surface.corners(), area.surface.corners())
+
+
+@pytest.mark.parametrize("options", [["--facing-mm", "1"], ["--sliding", "--facing-mm", "0"]])
+def test_a_distance_that_says_nothing_is_refused(options, folders: tuple[Path, Path], tmp_path: Path, capsys) -> None:
+    assert main(["febio-model", *map(str, folders), str(tmp_path / "arm.feb"), *options]) == 2
+    assert "expected a finite length above 0, mm, and tissues that slide" in " ".join(capsys.readouterr().err.split())
+
+
+def test_sliding_tissues_have_nodes_of_their_own(folders: tuple[Path, Path], tmp_path: Path, capsys) -> None:
+    assert main(["febio-model", *map(str, folders), str(tmp_path / "arm.feb"), "--sliding", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["facing_mm"] > 0.0
+    assert {(pair["primary"], pair["secondary"], pair["tied"]) for pair in told["contacts"]} >= {
+        ("muscle", "bone", True)
+    }
+    root = ET.parse(tmp_path / "arm.feb").getroot()
+    rest = two_tissues((4, 2, 2))
+    shared = len(rest.mesh.vertices)
+    assert len(list(root.iterfind("Mesh/Nodes/node"))) == shared + 9
+    (attached,) = root.iterfind("Boundary/bc")
+    assert (attached.attrib["type"], attached.findtext("rb")) == ("rigid", "bone_body")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import gmsh
@@ -229,3 +230,66 @@ def test_gmsh_itself_opens_both_versions(quadratic: bool, msh: MshVersion, tets:
     np.testing.assert_allclose(
         np.sort(volumes), np.sort(np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0), rtol=1e-6
     )
+
+
+def with_fibres(tets: LabelledTets) -> tuple[LabelledTets, np.ndarray]:
+    """The muscle's tets get directions of random lengths, the bone's none; and these."""
+    fibres = np.random.default_rng(3).normal(size=(len(tets.tets), 3))
+    fibres[tets.tissue_of_tet == 2] = 0.0
+    return replace(tets, fibres=fibres), fibres
+
+
+def test_abaqus_gets_an_orientation_for_each_element_with_a_fibre(tets: LabelledTets, tmp_path: Path) -> None:
+    made, fibres = with_fibres(tets)
+    text = written(tmp_path / "arm.inp", made).read_text(encoding="ascii")
+    muscle, bone = made.sets
+    own = made.sets[muscle]
+    start = text.index(f"*DISTRIBUTION, NAME={muscle}_FIBRES, LOCATION=ELEMENT, TABLE=FIBRE_AXES\n")
+    _, default, *lines = text[start : text.index("*ORIENTATION")].splitlines()
+    assert default == ", 1., 0., 0., 0., 1., 0."
+    rows = np.array([[float(x) for x in line.split(",")] for line in lines])
+    np.testing.assert_array_equal(rows[:, 0], own + 1)
+    along, beside = rows[:, 1:4], rows[:, 4:]
+    np.testing.assert_allclose(along * np.linalg.norm(fibres[own], axis=1)[:, None], fibres[own], rtol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(beside, axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(np.einsum("ki,ki->k", along, beside), 0.0, atol=1e-15)
+    assert f"*ORIENTATION, NAME={muscle}_ORIENTATION, SYSTEM=RECTANGULAR\n{muscle}_FIBRES\n3, 0.\n" in text
+    assert f"*SOLID SECTION, ELSET={muscle}, MATERIAL={muscle}_MATERIAL, ORIENTATION={muscle}_ORIENTATION\n" in text
+    assert f"*SOLID SECTION, ELSET={bone}, MATERIAL={bone}_MATERIAL\n" in text
+    assert text.index("*DISTRIBUTION TABLE, NAME=FIBRE_AXES\nCOORD3D, COORD3D\n") < start
+    assert max(map(len, text.splitlines())) <= 256
+    assert len(meshio.read(tmp_path / "arm.inp").points) == len(made.vertices)
+
+
+@pytest.mark.parametrize("quadratic", [False, True])
+def test_vtu_holds_the_fibres(quadratic: bool, tets: LabelledTets, tmp_path: Path) -> None:
+    made, fibres = with_fibres(tets)
+    given = with_middle_nodes(made) if quadratic else made
+    found = meshio.read(written(tmp_path / "arm.vtu", given)).cell_data
+    stretch = np.linalg.norm(fibres, axis=1)
+    np.testing.assert_allclose(found["fibre_stretch"][0], stretch, rtol=1e-15)
+    np.testing.assert_allclose(found["fibre"][0] * stretch[:, None], fibres, rtol=1e-14)
+
+
+@pytest.mark.parametrize("version", list(MshVersion))
+def test_gmsh_opens_the_fibres_as_a_view(version: MshVersion, tets: LabelledTets, tmp_path: Path) -> None:
+    made, _ = with_fibres(tets)
+    write_solver_file(tmp_path / "arm.msh", made, msh=version)
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.merge(str(tmp_path / "arm.msh"))
+        (view,) = gmsh.view.getTags()
+        kind, numbers, values, _, parts = gmsh.view.getModelData(view, 0)
+    finally:
+        gmsh.finalize()
+    assert (kind, parts) == ("ElementData", 3)
+    own = np.flatnonzero(made.tissue_of_tet == 0)
+    np.testing.assert_array_equal(np.sort(numbers), own + 1)
+    directions = made.fibre_axes[0][np.asarray(numbers, dtype=int) - 1]
+    np.testing.assert_allclose(np.array(values), directions, rtol=1e-14)
+
+
+def test_fibres_of_another_number_than_the_tets_are_refused(tets: LabelledTets) -> None:
+    with pytest.raises(InputError, match=r"fibres of shape \(3, 3\)"):
+        replace(tets, fibres=np.zeros((3, 3)))

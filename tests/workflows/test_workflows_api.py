@@ -33,6 +33,7 @@ COMMANDS = (
     "warp_deck",
     "export",
     "import_osim",
+    "export_motion",
     "export_osim",
     "init",
 )

@@ -185,3 +185,42 @@ def test_frames_and_films_are_drawn(folders: tuple[Path, Path], tmp_path: Path) 
     with pytest.raises(InputError, match="found frame 3; expected 0 to 2"):
         render(folders[0], tmp_path / "none", frame=3, progress=Silent())
     assert not (tmp_path / "none").exists()
+
+
+def test_a_sequence_becomes_one_file_that_vtk_reads(
+    followed: tuple[FollowedMotion, FollowedMotion], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pyvista as pv
+
+    folder, out = followed[0].folder, tmp_path / "new" / "bend.vtkhdf"
+    assert main(["export-motion", str(folder), str(out)]) == 0
+    assert "3 frames of 4 tissues" in capsys.readouterr().out
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+    read = read_finished_sequence(folder)
+    reader = pv.get_reader(out).reader  # vtkHDFReader
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == len(read.made) == 3
+    rest = read.rest.vertices()
+    for number, frame in enumerate(read.made):
+        reader.SetStep(number)
+        reader.Update()
+        found = pv.wrap(reader.GetOutput())
+        vertices = frame.stored.vertices()
+        assert reader.GetTimeValue() == frame.summary.time_s
+        np.testing.assert_array_equal(found.points, vertices.astype(np.float32))
+        np.testing.assert_array_equal(found.point_data["displacement_mm"], (vertices - rest).astype(np.float32))
+        assert list(found.field_data["tissue_names"]) == [tissue.name for tissue in read.rest]
+        triangles = found.regular_faces
+        for tissue, (name, place) in enumerate(read.rest.slices().items()):
+            own = triangles[found.cell_data["tissue"] == tissue] - place.start
+            np.testing.assert_array_equal(own, read.rest[name].surface.faces)
+
+
+@pytest.mark.parametrize(("out", "said"), [("bend.vtp", "is no known format"), ("there.vtkhdf", "cannot be written")])
+def test_a_motion_goes_into_no_other_file(
+    out: str, said: str, folders: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there.vtkhdf").mkdir()
+    assert main(["export-motion", str(folders[0]), str(tmp_path / out)]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["there.vtkhdf"]

@@ -1,7 +1,7 @@
 """A model for FEBio 4, from tetrahedra at rest: muscles with fibres, rigid bones on their way, soft filler.
 
-Tissues share the nodes of their common faces, so that muscle and filler are tied to bone and to each other; nothing
-slides. Bones that move as one are one rigid body, and go along the screw from rest to their pose.
+Tissues that share the nodes of their common faces are tied to each other by them; others are tied, or slide, by contact
+pairs. Bones that move as one are one rigid body, and go along the screw from rest to their pose.
 
 Format: febio_spec 4.0 (FEBio User Manual 4). Muscle: "muscle material", S. S. Blemker, P. M. Pinsky and S. L. Delp, A
 3D model of muscle reveals the causes of nonuniform strains in the biceps brachii, J. Biomech. 38 (2005) 657, with the
@@ -22,6 +22,14 @@ from musclefit.geometry.arrays import Points
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.tets.topology import tet_faces
 from musclefit.io.atomic import write_bytes_atomically
+from musclefit.io.formats.febio_contacts import (
+    ContactPair,
+    contact_lines,
+    pair_lines,
+    rigid_nodes,
+    surface_lines,
+    surface_name,
+)
 from musclefit.io.formats.solvers import LabelledTets
 
 STEPS = 20
@@ -61,6 +69,8 @@ class FebioModel:
         Of every tissue that is a rigid bone.
     muscles : frozenset of str
         Names of the tissues that are muscles; the others are soft.
+    contacts : tuple of ContactPair
+        By labels of the parts.
 
     Raises
     ------
@@ -72,6 +82,7 @@ class FebioModel:
     fibres: Points
     motions: Mapping[str, RigidMotion]
     muscles: frozenset[str]
+    contacts: tuple[ContactPair, ...] = ()
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.motions) - set(self.names.values()))
@@ -111,6 +122,19 @@ class FebioModel:
                 groups.append([label])
         return groups
 
+    @property
+    def attached(self) -> dict[str, list[int]]:
+        """The nodes that go with a rigid bone, by the name of the pair that ties them."""
+        bodies = {label: number for number, group in enumerate(self.bodies) for label in group}
+        bones = [self.tets.sets[label] for label in bodies]
+        return rigid_nodes(self.contacts, bodies, np.unique(self.tets.tets[np.concatenate(bones)]).tolist())
+
+    @property
+    def between(self) -> list[ContactPair]:
+        """The pairs that are no ties to bone."""
+        bones = {label for group in self.bodies for label in group}
+        return [pair for pair in self.contacts if not (pair.tied and pair.secondary in bones)]
+
 
 def write_febio_model(path: Path, model: FebioModel) -> None:
     """Write a model, whole or not at all.
@@ -142,9 +166,20 @@ def _lines(model: FebioModel) -> Iterator[str]:
     yield from _materials(model)
     yield from _mesh(model)
     yield from _fibres(model)
+    if model.attached:
+        yield "<Boundary>"
+        secondary = {pair.name: pair.secondary for pair in model.contacts}
+        body_of = {label: _body(group) for group in model.bodies for label in group}
+        for name in model.attached:
+            yield f'<bc name={quoteattr(name)} node_set={quoteattr(name)} type="rigid">'
+            yield f"<rb>{escape(body_of[secondary[name]])}</rb>\n</bc>"
+        yield "</Boundary>"
+    yield from contact_lines(model.between)
     yield from _bones(model)
     yield '<Output>\n<plotfile type="febio">\n<var type="displacement"/>\n<var type="stress"/>'
     yield '<var type="fiber stretch"/>'
+    if model.between:
+        yield '<var type="contact gap"/>\n<var type="contact traction"/>'
     yield '<var type="fiber vector"/>\n<var type="relative volume"/>\n</plotfile>\n</Output>\n</febio_spec>'
 
 
@@ -180,13 +215,15 @@ def _mesh(model: FebioModel) -> Iterator[str]:
         yield from (f'<elem id="{k}">{a},{b},{c},{d}</elem>' for k, (a, b, c, d) in zip(own + 1, corners, strict=True))
         yield "</Elements>"
     for label, own in tets.sets.items():
-        yield f"<Surface name={quoteattr(label + '_surface')}>"
-        faces = tet_faces(tets.tets[own]).boundary + 1
-        yield from (f'<tri3 id="{k}">{a},{b},{c}</tri3>' for k, (a, b, c) in enumerate(faces.tolist(), start=1))
-        yield "</Surface>"
+        yield from surface_lines(surface_name(label), tet_faces(tets.tets[own]).boundary)
+    for pair in model.between:
+        yield from surface_lines(pair.name, pair.faces)
     for label, own in tets.sets.items():
         yield f"<NodeSet name={quoteattr(label + '_nodes')}>"
         yield ",".join(map(str, (np.unique(tets.tets[own]) + 1).tolist())) + "</NodeSet>"
+    for name, nodes in model.attached.items():
+        yield f"<NodeSet name={quoteattr(name)}>" + ",".join(str(node + 1) for node in nodes) + "</NodeSet>"
+    yield from pair_lines(model.between)
     yield "</Mesh>\n<MeshDomains>"
     body_of = {label: _body(group) for group in model.bodies for label in group}
     for label in tets.sets:

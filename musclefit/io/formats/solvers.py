@@ -19,7 +19,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from musclefit.errors import InputError
-from musclefit.geometry.arrays import Int, Points, Tets, frozen
+from musclefit.geometry.arrays import Float, Int, Points, Tets, frozen
 
 UNITS = "lengths in mm; with N that gives MPa, with tonnes tonne/mm3"
 PLACEHOLDER = "materials are placeholders: neo-Hookean or linear elastic, E 1 MPa, Poisson's ratio 0.3, 1e-9 tonne/mm3"
@@ -40,11 +40,13 @@ class LabelledTets:
     tets : (k, 4) int64, right-handed; or (k, 10), the middles of the edges of `MIDDLES` last
     tissue_of_tet : (k,) int64, index into ``names``
     names : tuple of str
+    fibres : (k, 3) float64 or None
+        Along the fibre of each tet, its length the fibre's stretch; 0 where a tet has none.
 
     Raises
     ------
     InputError
-        No tet, or a tissue number without name.
+        No tet, a tissue number without name, or not one fibre for each tet.
     """
 
     title: str
@@ -52,6 +54,7 @@ class LabelledTets:
     tets: Tets
     tissue_of_tet: Int
     names: tuple[str, ...]
+    fibres: Points | None = None
 
     def __post_init__(self) -> None:
         if not len(self.tets):
@@ -61,10 +64,20 @@ class LabelledTets:
                 f"tets are labelled {self.tissue_of_tet.min()} to {self.tissue_of_tet.max()}, but {len(self.names)} "
                 "tissues are named"
             )
+        if self.fibres is not None and self.fibres.shape != (len(self.tets), 3):
+            raise InputError(f"{len(self.tets)} tets were given fibres of shape {self.fibres.shape}")
         used = np.unique(self.tets)  # a node that no element uses makes a solver's system singular
         object.__setattr__(self, "tets", frozen(np.searchsorted(used, self.tets), np.int64))
         object.__setattr__(self, "vertices", frozen(self.vertices[used]))
         object.__setattr__(self, "tissue_of_tet", frozen(self.tissue_of_tet, np.int64))
+
+    @property
+    def fibre_axes(self) -> tuple[Points, Float]:
+        """(k, 3) directions of the fibres, of length 1 or 0, and (k,) their stretch."""
+        if self.fibres is None:
+            return np.zeros((len(self.tets), 3)), np.zeros(len(self.tets))
+        stretch = np.linalg.norm(self.fibres, axis=1)
+        return self.fibres / np.where(stretch > 0.0, stretch, 1.0)[:, None], stretch
 
     @property
     def sets(self) -> dict[str, Int]:
@@ -94,6 +107,7 @@ def with_middle_nodes(tets: LabelledTets) -> LabelledTets:
         tets=np.hstack([corners, len(tets.vertices) + number.reshape(-1, len(MIDDLES))]),
         tissue_of_tet=tets.tissue_of_tet,
         names=tets.names,
+        fibres=tets.fibres,
     )
 
 
@@ -207,8 +221,20 @@ def _write_abaqus(path: Path, tets: LabelledTets) -> None:
             yield f"*ELEMENT, TYPE=C3D{tets.tets.shape[1]}, ELSET={label}"
             for number, nodes in zip((own + 1).tolist(), (tets.tets[own] + 1).tolist(), strict=True):
                 yield ", ".join(map(str, (number, *nodes)))
+        oriented = _fibred(tets)
+        if oriented:
+            yield "** the first axis of an element's own runs along its fibre\n*DISTRIBUTION TABLE, NAME=FIBRE_AXES"
+            yield "COORD3D, COORD3D"
+        for label in oriented:
+            yield f"*DISTRIBUTION, NAME={label}_FIBRES, LOCATION=ELEMENT, TABLE=FIBRE_AXES\n, 1., 0., 0., 0., 1., 0."
+            own = tets.sets[label]
+            axes = np.hstack([tets.fibre_axes[0][own], across(tets.fibre_axes[0][own])])
+            for number, row in zip((own + 1).tolist(), axes.tolist(), strict=True):
+                yield ", ".join((str(number), *(repr(x) for x in row)))
+            yield f"*ORIENTATION, NAME={label}_ORIENTATION, SYSTEM=RECTANGULAR\n{label}_FIBRES\n3, 0."
         for label in tets.sets:
-            yield f"*SOLID SECTION, ELSET={label}, MATERIAL={label}_MATERIAL"
+            along = f", ORIENTATION={label}_ORIENTATION" if label in oriented else ""
+            yield f"*SOLID SECTION, ELSET={label}, MATERIAL={label}_MATERIAL{along}"
         for label in tets.sets:
             yield f"*MATERIAL, NAME={label}_MATERIAL\n*DENSITY\n{_DENSITY}\n*ELASTIC\n{_YOUNG_MPA}., {_POISSON}"
 
@@ -247,6 +273,7 @@ def _write_gmsh(path: Path, tets: LabelledTets) -> None:
             for tet, nodes in zip((own + 1).tolist(), _gmsh_nodes(tets)[own].tolist(), strict=True):
                 yield " ".join(map(str, (tet, *nodes)))
         yield "$EndElements"
+        yield from _gmsh_fibres(tets)
 
     _write_lines(path, lines(), encoding="ascii")
 
@@ -268,8 +295,35 @@ def _write_gmsh_2(path: Path, tets: LabelledTets) -> None:
             for tet, nodes in zip((own + 1).tolist(), _gmsh_nodes(tets)[own].tolist(), strict=True):
                 yield " ".join(map(str, (tet, _gmsh_type(tets), 2, number, number, *nodes)))
         yield "$EndElements"
+        yield from _gmsh_fibres(tets)
 
     _write_lines(path, lines(), encoding="ascii")
+
+
+def _gmsh_fibres(tets: LabelledTets) -> Iterator[str]:
+    """A view of directions of length 1, of the elements that have a fibre."""
+    if tets.fibres is None:
+        return
+    directions, stretch = tets.fibre_axes
+    numbers = np.flatnonzero(stretch > 0.0)
+    yield f'$ElementData\n1\n"fibre"\n1\n0.0\n3\n0\n3\n{len(numbers)}'
+    for number, row in zip((numbers + 1).tolist(), directions[numbers].tolist(), strict=True):
+        yield " ".join((str(number), *(repr(x) for x in row)))
+    yield "$EndElementData"
+
+
+def _fibred(tets: LabelledTets) -> list[str]:
+    """Labels of the tissues all of whose tets have a fibre."""
+    stretch = tets.fibre_axes[1]
+    return [label for label, own in tets.sets.items() if (stretch[own] > 0.0).all()]
+
+
+def across(directions: Points) -> Points:
+    """(k, 3) directions at right angles to directions of length 1, of length 1 too."""
+    axes = np.eye(3)[np.abs(directions).argmin(axis=1)]
+    found = axes - np.einsum("ki,ki->k", axes, directions)[:, None] * directions
+    beside: Points = found / np.linalg.norm(found, axis=1, keepdims=True)
+    return beside
 
 
 def _gmsh_type(tets: LabelledTets) -> int:
@@ -282,7 +336,7 @@ def _gmsh_nodes(tets: LabelledTets) -> Int:
 
 
 def _write_vtu(path: Path, tets: LabelledTets) -> None:
-    """VTK's unstructured grid: cell data ``tissue``, and for each label a field array of its number and dimension."""
+    """VTK's unstructured grid: cell data ``tissue`` and fibres; for each label a field array, number and dimension."""
     import pyvista as pv
 
     kind = {4: pv.CellType.TETRA, 10: pv.CellType.QUADRATIC_TETRA}[tets.tets.shape[1]]
@@ -292,6 +346,8 @@ def _write_vtu(path: Path, tets: LabelledTets) -> None:
         tissue[own] = number
         grid.field_data[label] = np.array([number, 3], dtype=np.int64)
     grid.cell_data["tissue"] = tissue
+    if tets.fibres is not None:
+        grid.cell_data["fibre"], grid.cell_data["fibre_stretch"] = tets.fibre_axes
     grid.save(path, binary=True)
     if not path.read_bytes()[-32:].rstrip().endswith(b"</VTKFile>"):
         raise OSError(f"{path.name} was not written whole; is the disk full?")

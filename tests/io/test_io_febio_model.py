@@ -208,10 +208,13 @@ def test_a_run_of_the_built_in_limb_becomes_a_model(tmp_path: Path) -> None:
     of_kind = {kind: {t.name for t in run.report.result.tissues if t.kind == kind} for kind in ("bone", "muscle")}
     assert set(made.model.motions) == of_kind["bone"]
     assert made.model.muscles == of_kind["muscle"]
-    assert {pair.primary for pair in made.ties} == of_kind["muscle"]
+    attached = {pair.primary for pair in made.ties}
+    assert attached <= of_kind["muscle"]
+    assert len(attached) >= 7  # the long head of triceps comes near bone, over no area that counts
     slid = mf.febio_model(tmp_path / "run", tmp_path / "fibres", tmp_path / "sliding.feb", sliding=True)
     assert slid.facing_mm is not None
-    assert len(slid.model.contacts) > len(slid.ties) >= len(of_kind["muscle"])
+    assert {pair.primary for pair in slid.ties} == of_kind["muscle"]
+    assert len(slid.model.contacts) > len(slid.ties)
     assert max(made.bones_off_mm.values()) < 1e-6
     corners = made.model.tets.vertices[made.model.tets.tets]
     assert (np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0.0).all()

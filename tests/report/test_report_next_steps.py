@@ -61,7 +61,7 @@ def test_every_sentence_says_what_to_set_or_run():
     whole = [text for text in sentences() if text.endswith(".")]
     assert len(whole) >= 25
     for text in whole:
-        acts = r"\b(Set|Run|Mend|Name|Take|Give|Keep|Look|Install|Settle|file)\b"
+        acts = r"\b(Set|Run|Repair|Name|Remove|Give|Stay|Inspect|Correct|Install|Find|Leave|report)\b"
         assert re.match(rf".*{acts}", text), text
         assert len(re.findall(r"[.] [A-Z]", text)) == 0, f"more than one sentence: {text}"
 
@@ -91,14 +91,14 @@ def test_what_muscles_need_depends_on_the_kernel_and_on_what_moves_bones(make_si
 
 
 def test_landmarks_that_miss_because_the_run_ended_early_are_told_so(make_side):
-    assert "Settle" in step_of("landmark error", make_side(status=Status.STALLED.value))
+    assert "Find out why" in step_of("landmark error", make_side(status=Status.STALLED.value))
     assert "smoothing" in step_of("landmark error", make_side())
 
 
 def test_what_ended_the_mending_of_tets_is_told(make_side):
     refinement = MeshRefinement(3, 9, 900, 2, 0, (), stopped="mesh.max_rounds")
     mesh = replace(make_side().mesh, inverted=2, refinement=refinement)
-    assert step_of("inverted tets", make_side(mesh=mesh)).endswith("; mending was ended by mesh.max_rounds.")
+    assert step_of("inverted tets", make_side(mesh=mesh)).endswith("; mending stopped at mesh.max_rounds.")
 
 
 def test_json_and_page_say_what_to_do(make_report, make_side, make_tissue):

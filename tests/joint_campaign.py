@@ -1,7 +1,7 @@
 """Joints of known axes fitted many times over, as tables: ``python tests/joint_campaign.py --fits 20``.
 
 Every shape at several amounts of noise, finenesses, sizes, mirrored and not, anywhere in space: how far the fits are
-from what is known, and how often that is within two of the standard deviations that they tell themselves. With the real
+from what is known, and how often that is within two of the uncertainties that they tell themselves. With the real
 anatomy (MUSCLEFIT_DATA) also its joints, whose axes were chosen on the same bones by circles or by hand, and OpenSim's.
 """
 
@@ -44,7 +44,7 @@ def varied(name: str, fits: int) -> Iterator[KnownJoint]:
 def synthetic(fits: int) -> None:
     print(
         "| joint | fits | angular error, median / 95 % / largest | position error, at scale 1 | "
-        "within 2 stated deviations |"
+        "within 2 stated uncertainties |"
     )
     print("|---|---|---|---|---|")
     for name in SHAPES:
@@ -99,7 +99,7 @@ def real(data: Path) -> Iterator[KnownJoint]:
 
 
 def of_real_bones(data: Path) -> None:
-    print("| joint | angular error | position error | stated deviation | believable |\n|---|---|---|---|---|")
+    print("| joint | angular error | position error | stated uncertainty | believable |\n|---|---|---|---|---|")
     for known in real(data):
         axes = known.axes / np.linalg.norm(known.axes, axis=1, keepdims=True)
         found = fitted_joint(known.fixed, known.moving, kind=known.kind)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from io import StringIO
 from pathlib import Path
 
 from musclefit.anatomy.label_surfaces import LabelName, label_anatomy, label_fits
@@ -12,40 +10,25 @@ from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
 from musclefit.io.anatomy import ReadAnatomy
 from musclefit.io.formats.label_images import read_label_image
-from musclefit.io.formats.texts import read_text
+from musclefit.io.label_names import read_names
 from musclefit.progress import Progress
-
-COLUMNS = ("value", "name", "kind")
 
 
 def read_label_names(path: Path) -> tuple[LabelName, ...]:
-    """Read a CSV table with the columns value, name and kind (skin, muscle, bone or other).
+    """Read a table of labels, see `musclefit.io.label_names.read_names`, that says a kind for each.
 
     Raises
     ------
     InputError
-        No such file, a column that is missing, a value that is not a whole number, or a kind that is not known.
+        What `read_names` refuses, or a label without a kind.
     """
-    text = read_text(path)
-    try:
-        rows = list(csv.DictReader(StringIO(text), strict=True))
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read as a table of labels ({error}); correct the file") from None
-    missing = [column for column in COLUMNS if not rows or column not in rows[0]]
-    if missing:
-        raise InputError(
-            f"{path}: has no column {missing[0]!r}; a table of labels has the columns {', '.join(COLUMNS)}"
-        )
     names = []
-    for number, row in enumerate(rows, start=2):
-        kind = (row["kind"] or "").strip()
-        if kind not in list(TissueKind):
-            raise InputError(f"{path}: line {number}: kind is {kind!r}; known are {', '.join(TissueKind)}")
-        try:
-            value = int(row["value"])
-        except (TypeError, ValueError):
-            raise InputError(f"{path}: line {number}: value is {row['value']!r}; expected a whole number") from None
-        names.append(LabelName(value, (row["name"] or "").strip(), TissueKind(kind)))
+    for row in read_names(path):
+        if row.kind is None:
+            raise InputError(
+                f"{path}: label {row.value} ({row.name!r}) has no kind; add the column kind: {', '.join(TissueKind)}"
+            )
+        names.append(LabelName(row.value, row.name, row.kind))
     return tuple(names)
 
 

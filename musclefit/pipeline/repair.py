@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,19 +89,40 @@ def repair(
             repaired.append(repair_surface(one.name, one.mesh, settings=settings, fill=fill, source=one.source))
             tick(done / len(raw))
     tissues = tuple(Tissue(one.name, one.kind, done.mesh) for one, done in zip(raw, repaired, strict=True))
-    anatomy, resolution, overlaps = Anatomy(tissues, "as in the files"), None, None
-    if rule is not Rule.NONE:
-        broken = [done for done in repaired if not done.after.none]
-        if broken:
-            raise InputError(
-                f"{broken[0].name}: could not be repaired ({broken[0].after.said()}), so its overlaps cannot be "
-                "resolved; mend it in a mesh editor, leave it out, or run without --resolve"
-            )
-        resolution = resolved(anatomy, rule=rule, settings=settings, progress=progress, choice=choice)
-        anatomy = resolution.anatomy
-        overlaps = rest_overlaps(anatomy, progress=progress)
-    report = RepairReport(title, settings, rule, choice, tuple(repaired), tuple(findings), resolution, overlaps)
-    return RepairResult(report, anatomy)
+    report = RepairReport(title, settings, Rule.NONE, choice, tuple(repaired), tuple(findings), None, None)
+    mended = RepairResult(report, Anatomy(tissues, "as in the files"))
+    return mended if rule is Rule.NONE else without_overlaps(mended, rule=rule, choice=choice, progress=progress)
+
+
+def without_overlaps(
+    mended: RepairResult, *, rule: Rule, choice: Choice = Choice.LEAST_LOSS, progress: Progress | None = None
+) -> RepairResult:
+    """Take away what two repaired tissues share, by a rule.
+
+    Parameters
+    ----------
+    mended : RepairResult
+        Of `repair` without a rule.
+    rule : Rule
+    choice : Choice
+    progress : Progress, optional
+
+    Raises
+    ------
+    InputError
+        A surface that could not be repaired, or a rule that would leave nothing of a tissue.
+    """
+    progress, report = progress or Silent(), mended.report
+    broken = [done for done in report.surfaces if not done.after.none]
+    if broken:
+        raise InputError(
+            f"{broken[0].name}: could not be repaired ({broken[0].after.said()}), so its overlaps cannot be "
+            "resolved; mend it in a mesh editor, leave it out, or run without --resolve"
+        )
+    resolution = resolved(mended.anatomy, rule=rule, settings=report.settings, progress=progress, choice=choice)
+    overlaps = rest_overlaps(resolution.anatomy, progress=progress)
+    told = replace(report, rule=rule, choice=choice, resolved=resolution, overlaps=overlaps)
+    return RepairResult(told, resolution.anatomy)
 
 
 def _fill(filler: Filler, mesh: TriMesh, settings: RepairSettings) -> Fill:

@@ -130,8 +130,11 @@ class FittedJoint:
     sides : tuple of Side
         Of the fixed bone and of the moving one.
     uncertain_deg, uncertain_mm : float
-        Standard deviation of the first axis' direction, and of the place of a hinge's axis or another joint's centre,
-        when the surfaces' patches are drawn anew.
+        Of the first axis' direction, and of the place of a hinge's axis or another joint's centre: root of the sum of
+        squares of the standard deviation when the surfaces' patches are drawn anew, and of half of how far apart the
+        joints near this one are that each bone alone would give.
+    redrawn_deg, redrawn_mm : float
+        The first of the two alone.
     other_deg : float
         Angle of the next best axis with another direction where it is nearly as good, else 0.
     """
@@ -144,6 +147,8 @@ class FittedJoint:
     sides: tuple[Side, ...]
     uncertain_deg: float
     uncertain_mm: float
+    redrawn_deg: float
+    redrawn_mm: float
     other_deg: float
 
 
@@ -324,6 +329,8 @@ def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: flo
         ]
         places = [_between(line, other) for line, other in zip(draws, seconds, strict=True)]
         off = np.linalg.norm(np.array(places) - centre, axis=1)
+    bones_deg, bones_mm = _bones_disagree(drawn, (first, second), region, centre)
+    redrawn_deg, redrawn_mm = float(np.sqrt((angles**2).mean())), float(np.sqrt((off**2).mean()))
     sides = tuple(
         _side(of, end, small, first, _angle(line.along, first.along), _line_distance(line, first, centre))
         for of, end, small, line in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
@@ -336,10 +343,37 @@ def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: flo
         abs(apart),
         gap,
         sides,
-        float(np.sqrt((angles**2).mean())),
-        float(np.sqrt((off**2).mean())),
+        float(np.hypot(redrawn_deg, bones_deg)),
+        float(np.hypot(redrawn_mm, bones_mm)),
+        redrawn_deg,
+        redrawn_mm,
         max((_angle(line.along, first.along) for line in others), default=0.0),
     )
+
+
+def _bones_disagree(
+    drawn: Sequence[_End],
+    axes: tuple[_Line, _Line | None],
+    region: _Region,
+    centre: Points,
+) -> tuple[float, float]:
+    """Half of how far apart the joints are that each bone alone would give, near the one of both: degrees, and mm.
+
+    Half of the difference of two estimates of one thing that err alike is the standard deviation of their mean. They
+    are sought from the joint of both, as one bone alone may have another axis that the other bone rules out.
+    """
+    first, second = axes
+    firsts = [_refined([end], first, region) for end in drawn]
+    if second is None:
+        one, other = firsts
+        return 0.5 * _angle(one.along, other.along), 0.5 * _line_distance(one, other, centre)
+    seconds = [
+        _refined([end], _turned(second, line.along), region, across=line.along)
+        for end, line in zip(drawn, firsts, strict=True)
+    ]
+    places = [_between(line, across) for line, across in zip(firsts, seconds, strict=True)]
+    angle = _angle(firsts[0].along, firsts[1].along)
+    return 0.5 * angle, 0.5 * float(np.linalg.norm(places[0] - places[1]))
 
 
 def _sines(end: _End, at: Points, along: Float, blur: float) -> Float:
@@ -436,8 +470,11 @@ def _ball(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: flo
         _side(of, end, small, centre, 0.0, float(np.linalg.norm(own - centre)))
         for of, end, small, own in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
     )
-    spread = float(np.sqrt((off**2).mean()))
-    return FittedJoint(JointKind.BALL, frozen(centre), np.zeros((0, 3)), 0.0, gap, sides, 0.0, spread, 0.0)
+    redrawn = float(np.sqrt((off**2).mean()))
+    spread = float(np.hypot(redrawn, 0.5 * np.linalg.norm(alone[0] - alone[1])))
+    return FittedJoint(
+        JointKind.BALL, frozen(centre), np.zeros((0, 3)), 0.0, gap, sides, 0.0, spread, 0.0, redrawn, 0.0
+    )
 
 
 def _best_centre(ends: Sequence[_End], region: _Region) -> Points:

@@ -70,7 +70,7 @@ class JointFit(Shown):
         """How sure the fit is, in words."""
         found = self.found
         turned = f"{found.uncertain_deg:.1f} deg and " if len(found.axes) else ""
-        said = f"uncertain by {turned}{found.uncertain_mm:.2f} mm (standard deviation)"
+        said = f"uncertain by {turned}{found.uncertain_mm:.2f} mm (patches drawn anew, and what the bones disagree)"
         if found.other_deg:
             said += f"; an axis {found.other_deg:.0f} deg from it fits nearly as well"
         return said if self.believable else f"{said}: look at it before you believe it"
@@ -93,6 +93,8 @@ class JointFit(Shown):
             "believable": self.believable,
             "uncertain_deg": found.uncertain_deg,
             "uncertain_mm": found.uncertain_mm,
+            "redrawn_deg": found.redrawn_deg,
+            "redrawn_mm": found.redrawn_mm,
             "other_deg": found.other_deg,
             "sides": [asdict(side) for side in found.sides],
         }

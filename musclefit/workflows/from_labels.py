@@ -28,7 +28,7 @@ from musclefit.io.formats.tables import toml_string
 from musclefit.io.provenance import measured
 from musclefit.io.run_folder import file_names, ply_bytes, require_new_folder, write_new_folder
 from musclefit.io.segmentations import RULE, Segmentation, read_segmentation
-from musclefit.pipeline.repair import RawTissue
+from musclefit.pipeline.repair import RawTissue, without_overlaps
 from musclefit.pipeline.repair import repair as repaired
 from musclefit.progress import Progress
 from musclefit.report.repairs import RepairReport, repair_json
@@ -199,13 +199,12 @@ def _require_apart(source: Path, out: Path) -> None:
 def _without_overlaps(anatomy: Anatomy, *, title: str, progress: Progress) -> tuple[Anatomy, RepairReport]:
     """Repaired surfaces; where some still share volume, the inner kind keeps it."""
     raw = [RawTissue(tissue.name, tissue.kind, tissue.surface, tissue.name) for tissue in anatomy]
-    settings = RepairSettings()
-    plain = repaired(raw, settings=settings, rule=Rule.NONE, filler=None, title=title, progress=progress)
+    plain = repaired(raw, settings=RepairSettings(), rule=Rule.NONE, filler=None, title=title, progress=progress)
     overlaps = rest_overlaps(plain.anatomy, progress=progress)
     if not overlaps.pairs or plain.report.verdict == "failed":
         kept = replace(plain.report, overlaps=overlaps)
         return replace(plain.anatomy, frame=anatomy.frame), kept
-    cut = repaired(raw, settings=settings, rule=Rule.PRIORITY, filler=None, title=title, progress=progress)
+    cut = without_overlaps(plain, rule=Rule.PRIORITY, progress=progress)
     return replace(cut.anatomy, frame=anatomy.frame), cut.report
 
 

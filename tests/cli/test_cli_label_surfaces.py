@@ -34,7 +34,9 @@ def test_a_segmentation_is_an_anatomy(tmp_path, capsys):
 def test_tables_of_labels_are_read_strictly(tmp_path):
     table = tmp_path / "names.csv"
     for text, message in (
-        ("value,name\n1,a\n", "has no column 'kind'"),
+        ("value,name\n1,a\n", r"label 1 \('a'\) has no kind; add the column kind"),
+        ("value,kind\n1,bone\n", "has no column 'name'"),
+        ("value,name,kind\n1,a,bone\n1,b,bone\n", "the value 1 is named twice"),
         ("value,name,kind\nx,a,bone\n", "value is 'x'; expected a whole number"),
         ("value,name,kind\n1,a,liver\n", "kind is 'liver'; known are skin, other, muscle, bone"),
     ):

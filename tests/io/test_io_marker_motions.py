@@ -208,7 +208,7 @@ def test_a_frame_without_markers_and_bad_c3d(tmp_path: Path) -> None:
     for bad, frame, found in (
         (data, None, "does not say which axis points up"),
         (data, MarkerFrame(Up.Z), "POINT:UNITS is 'furlong'"),
-        (b"", MarkerFrame(Up.Z), "is no C3D file"),
+        (b"", MarkerFrame(Up.Z), "is not a C3D file"),
         (data[:700], MarkerFrame(Up.Z), "ezc3d cannot use it|frames of"),
     ):
         with pytest.raises(InputError, match=found):

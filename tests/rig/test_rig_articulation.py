@@ -12,10 +12,12 @@ from joint_shapes import KnownJoint, known_joint, missed
 
 from musclefit.errors import InputError
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.anatomy import read_surface
 from musclefit.io.opensim_geometry import find_geometry, placed_meshes
 from musclefit.rig.articulation import FittedJoint, fitted_joint
 from musclefit.rig.joint_kinds import JointKind
+from musclefit.workflows.fit_joint import JointFit
 from musclefit.workflows.import_osim import read_osim
 
 
@@ -57,6 +59,18 @@ def test_what_has_no_axis_is_not_believed() -> None:
     known = replace(known_joint("ball"), kind=JointKind.HINGE)
     found = fit(known)
     assert found.uncertain_deg > 15.0 or found.other_deg > 15.0
+
+
+def test_bones_that_say_different_axes_are_not_believed() -> None:
+    """Each of two rollers is as sure as can be of its own axis; only that they disagree shows that the joint is not."""
+    known = known_joint("roller", noise_mm=0.1)
+    across = np.cross(known.axes[0], [0.3, 0.5, 0.8])
+    turn = RigidMotion.about_axis(centre=known.centre, axis=across, angle_deg=40.0)
+    turned = TriMesh(turn(known.moving.vertices), known.moving.faces)
+    found = fitted_joint(known.fixed, turned, kind=known.kind)
+    assert found.redrawn_deg < 10.0
+    assert found.uncertain_deg > 10.0
+    assert not JointFit("a", "b", found).believable
 
 
 def test_bones_that_do_not_meet_are_refused() -> None:

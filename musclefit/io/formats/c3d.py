@@ -21,11 +21,11 @@ def read_c3d(data: bytes, *, source: str) -> tuple[tuple[str, ...], Float, Float
     Raises
     ------
     InputError
-        No C3D file, ezc3d is not installed or cannot read it, no point or frame, a unit that is not known, or a rate
+        Not a C3D file, ezc3d is not installed or cannot read it, no point or frame, a unit that is not known, or a rate
         that is not above 0.
     """
     if len(data) < 512 or data[1] != _SIGNATURE:
-        raise InputError(f"{source}: is no C3D file (its second byte must be 50 hexadecimal); export it again")
+        raise InputError(f"{source}: is not a C3D file (its second byte must be 50 hexadecimal); export it again")
     read = asked("read_c3d", {}, {"recording.c3d": data}, library="ezc3d", source=source)
     positions, rate = read["positions"], float(read["rate"])
     frames, count = positions.shape[:2]

@@ -29,6 +29,7 @@ from musclefit.rig.job import (
     Job,
     check_handles,
 )
+from musclefit.rig.off_bones import off_bone_findings
 from musclefit.rig.rig_table import apply_overrides, parse_rig
 from musclefit.rig.settings import (
     Rig,
@@ -100,6 +101,7 @@ def read_rig(
         check_handles(handles, handle_path, anatomy=anatomy, stops=rig.drive.moments)
     except LandmarkError as error:
         raise files.named("drive", error) from None
+    findings += off_bone_findings(handles, anatomy, subject=rig_path.name)
     return Job(
         rig=rig,
         anatomy=anatomy,

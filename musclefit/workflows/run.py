@@ -28,6 +28,7 @@ from musclefit.pipeline.retarget import Outcome, Retargeting, retarget
 from musclefit.progress import CERTIFY, MARCH, Progress, Silent
 from musclefit.report.model import Report
 from musclefit.rig.job import AttachedPoints, Job
+from musclefit.rig.off_bones import OFF_BONES
 from musclefit.rig.settings import TetSettings
 from musclefit.workflows.beside import Beside
 from musclefit.workflows.compiling_ahead import compiled_ahead
@@ -61,6 +62,7 @@ TOLD_BEFORE = (
     "assumed-frame",
     "half-turn",
     "points-outside-skin",
+    OFF_BONES,
 )
 """Findings that are told before the long work; the report lists them all."""
 

@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import StringConstraints, TypeAdapter
+from pydantic import AfterValidator, TypeAdapter
 
 from musclefit.errors import InputError
 from musclefit.io.atomic import write_atomically, write_bytes_atomically
@@ -25,13 +25,25 @@ STUDY_JSON, OUTCOMES_CSV, OUTCOMES_PARQUET = "study.json", "outcomes.csv", "outc
 CHECKS_CSV, COSTS_CSV, COHORT_HTML = "checks.csv", "costs.csv", "cohort.html"
 
 _THUMBNAIL_PX = 256
+_LONGEST_PART = 200
+
+
+def _below_the_folder(name: str) -> str:
+    """The name of a case: folders below that of the study, subject first."""
+    parts = name.split("/")
+    if not all(0 < len(part) <= _LONGEST_PART and part not in {".", ".."} for part in parts) or set(name) & {
+        "\\",
+        "\0",
+    }:
+        raise ValueError("no path below the study's folder")
+    return name
 
 
 @dataclass(frozen=True, slots=True)
 class _Case:
     """A case as `write_study_json` tells it."""
 
-    name: Annotated[str, StringConstraints(pattern=r"^[^/\\\x00]{1,200}$")]
+    name: Annotated[str, AfterValidator(_below_the_folder)]
     subject: str
     rig: str
     motion: str

@@ -97,7 +97,9 @@ def test_a_joint_is_fitted_and_printed_as_a_table(tmp_path: Path, capsys: pytest
     said = capsys.readouterr().out
     assert 'fixed = ["humerus"]' in said
     assert "centre_mm = [" in said
-    assert re.search(r"# uncertain by \d\.\d deg and 0\.\d\d mm \(standard deviation\)\n", said)
+    assert re.search(
+        r"# uncertain by \d\.\d deg and 0\.\d\d mm \(patches drawn anew, and what the bones disagree\)\n", said
+    )
     assert "# fixed bone: " in said
     axis = tomllib.loads(said)["joint"]["axis"]
     assert abs(axis[2]) > 0.999
@@ -117,7 +119,9 @@ def test_joint_ranges_are_printed_or_given_as_json(rig: Path, capsys: pytest.Cap
     assert main(["joint-range", str(rig), "--quiet"]) == 0
     said = capsys.readouterr().out
     assert "elbow  from    -5.0 deg  its limit" in said
-    assert re.search(r"to     145\.\d deg  bone_distal / bone_proximal, [\d.]+ mm deep, sharing [\d.]+ mm³", said)
+    assert re.search(
+        r"to     145\.\d deg  bone_distal / bone_proximal, [\d.]+ mm deep, overlapping by [\d.]+ mm³", said
+    )
     assert "ends found to 0.1 deg" in said
     assert main(["joint-range", str(rig), "--quiet", "--json"]) == 0
     (elbow,) = json.loads(capsys.readouterr().out)["joint_ranges"]

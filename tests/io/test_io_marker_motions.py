@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -68,14 +70,26 @@ def trc(names: list[str], positions: np.ndarray, *, units: str = "mm", rate: flo
     return ("\n".join(lines) + "\n").encode()
 
 
+WRITE_C3D = """
+import sys
+import ezc3d
+import numpy as np
+path, unit, *names = sys.argv[1:]
+positions = np.load(path + ".npy")
+made = ezc3d.c3d()
+made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+made["parameters"]["POINT"]["LABELS"]["value"] = names
+made["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+made["data"]["points"] = np.concatenate([positions.transpose(2, 1, 0), np.ones((1, len(names), len(positions)))])
+made.write(path)
+"""
+"""In a process of its own: beside OpenSim's library ezc3d takes vectors for those of another kind."""
+
+
 def c3d(path: Path, names: list[str], positions: np.ndarray, *, unit: str = "mm") -> bytes:
-    ezc3d = pytest.importorskip("ezc3d")
-    made = ezc3d.c3d()
-    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
-    made["parameters"]["POINT"]["LABELS"]["value"] = names
-    made["parameters"]["POINT"]["UNITS"]["value"] = [unit]
-    made["data"]["points"] = np.concatenate([positions.transpose(2, 1, 0), np.ones((1, len(names), len(positions)))])
-    made.write(str(path))
+    pytest.importorskip("ezc3d")
+    np.save(f"{path}.npy", positions)
+    subprocess.run([sys.executable, "-c", WRITE_C3D, str(path), unit, *names], check=True)
     return path.read_bytes()
 
 

@@ -118,7 +118,7 @@ def test_a_pose_whose_bones_collide_is_refused_and_the_others_are_made(job: Job,
     report = run_sequence(SequencePlan(job, motion, 3, Interpolation.LINEAR), tmp_path / "out")
     assert [frame.outcome for frame in report.frames] == ["made", "refused", "made"]
     said = report.frames[1].problem
-    assert "frame 1 at 1 s (elbow 150 deg) is refused: bones 'bone_distal' and 'bone_proximal' run into" in said
+    assert "frame 1 at 1 s (elbow 150 deg) is refused: bones 'bone_distal' and 'bone_proximal' collide" in said
     assert "mm deep" in said
     assert "the largest feasible pose on this way is elbow 145." in said
     assert report.verdict == "failed"

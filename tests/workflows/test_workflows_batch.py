@@ -281,3 +281,11 @@ def test_hostile_names_do_no_harm_in_page_and_table() -> None:
     (row,) = csv.DictReader(csv_of(rows).splitlines())
     assert row["subject"] == f"'={name}"
     assert row["case"] == name
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "s00/..", "", "s00//bent", "a\\b", "s" * 201])
+def test_cases_named_out_of_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+    case = {"name": name, "subject": "s00", "rig": "bent", "motion": "", "facts": {}}
+    (tmp_path / "study.json").write_text(json.dumps({"title": "t", "cases": [case]}), encoding="utf-8")
+    with pytest.raises(InputError, match=r"holds no study\.json of a study"):
+        collect(tmp_path)

@@ -91,36 +91,8 @@ def _from(context, builder, kind, array, first):
     return builder.bitcast(builder.gep(data, [first]), _VECTOR.as_pointer())
 
 
-def _place(context, builder, kind, array, row):
-    return _from(context, builder, kind, array, builder.mul(row, row.type(WIDTH)))
-
-
 @intrinsic
-def load(_context, array, row):  # noqa: ARG001 (names of the compiled arguments)
-    """Row of a (k, WIDTH) array in memory order."""
-
-    def generate(context, builder, signature, arguments):
-        found = builder.load(_place(context, builder, signature.args[0], *arguments))
-        found.align = 8
-        return found
-
-    return LANES(array, types.intp), generate
-
-
-@intrinsic
-def store(_context, array, row, value):  # noqa: ARG001
-    """Write a row of a (k, WIDTH) array in memory order."""
-
-    def generate(context, builder, signature, arguments):
-        written = builder.store(arguments[2], _place(context, builder, signature.args[0], *arguments[:2]))
-        written.align = 8
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, LANES), generate
-
-
-@intrinsic
-def load_from(_context, array, first):  # noqa: ARG001
+def load_from(_context, array, first):  # noqa: ARG001 (names of the compiled arguments)
     """WIDTH numbers of an array in memory order, from a number on."""
 
     def generate(context, builder, signature, arguments):
@@ -141,6 +113,18 @@ def store_from(_context, array, first, value):  # noqa: ARG001
         return context.get_dummy_value()
 
     return types.void(array, types.intp, LANES), generate
+
+
+@njit(**INNER)
+def load(array, row):
+    """Row of a (k, WIDTH) array in memory order."""
+    return load_from(array, row * WIDTH)
+
+
+@njit(**INNER)
+def store(array, row, value):
+    """Write a row of a (k, WIDTH) array in memory order."""
+    store_from(array, row * WIDTH, value)
 
 
 @intrinsic

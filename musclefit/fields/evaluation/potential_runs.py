@@ -11,7 +11,7 @@ import numpy as np
 
 from musclefit.compiling import njit, threaded
 from musclefit.fields.evaluation.lanes import INNER, WIDTH, load, load_from, store, store_from, zero
-from musclefit.fields.evaluation.potentials import BLOCK, FAST
+from musclefit.fields.evaluation.potentials import BLOCK, FAST, two_weights
 
 PARTLY, NOT_AT_ALL = -1, -2
 """First row of a point that sees some of its 64 splines, or none."""
@@ -49,25 +49,11 @@ def runs_seen(low, h, numbers, points, rows):
 
 
 @njit(inline="always")
-def _two_weights(t, h, w, d):
-    """Values and derivatives (per mm) of four cubic B-splines over a cell of width h at t in [0, 1]."""
-    s = 1.0 - t
-    w[0] = s * s * s / 6.0
-    w[1] = (4.0 + t * t * (3.0 * t - 6.0)) / 6.0
-    w[2] = (4.0 + s * s * (3.0 * s - 6.0)) / 6.0
-    w[3] = t * t * t / 6.0
-    d[0] = -0.5 * s * s / h
-    d[1] = t * (1.5 * t - 2.0) / h
-    d[2] = s * (2.0 - 1.5 * s) / h
-    d[3] = 0.5 * t * t / h
-
-
-@njit(inline="always")
 def _products(point, low, h, w, d, across):
     """Weights w, d (3, 4) along the axes, and their products (16, 3) across the runs: w w, d w and w d."""
     for axis in range(3):
         u = (point[axis] - low[axis]) / h
-        _two_weights(u - np.floor(u), h, w[axis], d[axis])
+        two_weights(u - np.floor(u), h, w[axis], d[axis])
     for i in range(4):
         for j in range(4):
             across[4 * i + j, 0] = w[0, i] * w[1, j]

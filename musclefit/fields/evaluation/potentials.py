@@ -18,8 +18,8 @@ BLOCK = 256
 
 
 @njit(inline="always")
-def _weights(t, h, w, d, e):
-    """Values, first and second derivatives (per mm) of four cubic B-splines over a cell of width h at t in [0, 1]."""
+def two_weights(t, h, w, d):
+    """Values and first derivatives (per mm) of four cubic B-splines over a cell of width h at t in [0, 1]."""
     s = 1.0 - t
     w[0] = s * s * s / 6.0
     w[1] = (4.0 + t * t * (3.0 * t - 6.0)) / 6.0
@@ -29,6 +29,13 @@ def _weights(t, h, w, d, e):
     d[1] = t * (1.5 * t - 2.0) / h
     d[2] = s * (2.0 - 1.5 * s) / h
     d[3] = 0.5 * t * t / h
+
+
+@njit(inline="always")
+def _weights(t, h, w, d, e):
+    """As `two_weights`, and second derivatives."""
+    two_weights(t, h, w, d)
+    s = 1.0 - t
     e[0] = s / (h * h)
     e[1] = (3.0 * t - 2.0) / (h * h)
     e[2] = (3.0 * s - 2.0) / (h * h)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 import signal
-import subprocess
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +22,7 @@ from musclefit.geometry.arrays import Faces, Points, Tets
 from musclefit.geometry.tets.sizing import NO_SIZING, SizingField
 from musclefit.progress import Progress, Silent, Tick
 from musclefit.scratch import scratch_folder
+from musclefit.worker_processes import run_worker
 
 OPTIMISATION_PASSES = 2
 """Passes of the tetrahedraliser over its mesh; the first does most, each further one costs about a quarter of it."""
@@ -148,7 +147,7 @@ def fill(
             ("sizing_lengths", sizing.lengths, np.float64),
         ):
             np.save(folder / f"{name}.npy", np.asarray(array, dtype=kind), allow_pickle=False)
-        code, said = _run(settings, folder, tick)
+        code, said = run_worker(_WORKER, settings, folder=folder, fractions=fractions_done, tick=tick)
         if code:
             raise MeshError(
                 f"the tetrahedraliser failed on {len(faces)} triangles ({_how(code, said)}); choose a larger "
@@ -158,32 +157,6 @@ def fill(
             np.load(folder / "filled_vertices.npy", allow_pickle=False),
             np.load(folder / "filled_tets.npy", allow_pickle=False),
         )
-
-
-def _run(settings: Iterable[str], folder: Path, tick: Tick) -> tuple[int, str]:
-    """Exit code of the worker, and what it complained of; it is killed when we are interrupted."""
-    complaints = folder / "stderr.txt"
-    with (
-        complaints.open("w", encoding="utf-8") as stderr,
-        subprocess.Popen(
-            [sys.executable, "-P", str(_WORKER), *settings],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            encoding="utf-8",
-            errors="replace",
-        ) as process,
-    ):
-        try:
-            assert process.stdout is not None  # it is a pipe
-            for fraction in fractions_done(process.stdout):
-                tick(fraction)
-            code = process.wait()
-        except BaseException:
-            process.kill()
-            raise
-    return code, complaints.read_text(encoding="utf-8", errors="replace")
 
 
 def fractions_done(lines: Iterable[str]) -> Iterable[float]:

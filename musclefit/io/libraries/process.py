@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ import numpy as np
 from musclefit.errors import InputError
 from musclefit.progress import Tick
 from musclefit.scratch import scratch_folder
+from musclefit.worker_processes import run_worker
 
 _WORKER = Path(__file__).with_name("worker.py")
 _LINES = 3
@@ -57,7 +56,9 @@ def asked(
         np.savez(folder / "given.npz", **arrays)
         for file, data in files.items():
             (folder / file).write_bytes(data)
-        code, said = _run(task, folder, tick)
+        code, said = run_worker(
+            _WORKER, [task], folder=folder, fractions=_fractions_done, tick=tick, options=("-W", "ignore")
+        )
         if code == 0:
             with np.load(folder / "answer.npz", allow_pickle=False) as stored:
                 return dict(stored)
@@ -76,31 +77,12 @@ def asked(
 _EXTRAS = {"opensim": "opensim", "ezc3d": "c3d"}
 
 
-def _run(task: str, folder: Path, tick: Tick) -> tuple[int, str]:
-    complaints = folder / "stderr.txt"
-    with (
-        complaints.open("w", encoding="utf-8") as stderr,
-        subprocess.Popen(
-            [sys.executable, "-P", "-W", "ignore", str(_WORKER), task],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            encoding="utf-8",
-            errors="replace",
-        ) as process,
-    ):
-        try:
-            assert process.stdout is not None  # it is a pipe
-            for line in process.stdout:
-                done, _, of = line.strip().partition("/")
-                if done.isdecimal() and of.isdecimal() and int(of) > 0:
-                    tick(int(done) / int(of))
-            code = process.wait()
-        except BaseException:
-            process.kill()
-            raise
-    return code, complaints.read_text(encoding="utf-8", errors="replace")
+def _fractions_done(lines: Iterable[str]) -> Iterator[float]:
+    """Of the lines "done/of all" that a worker prints."""
+    for line in lines:
+        done, _, of = line.strip().partition("/")
+        if done.isdecimal() and of.isdecimal() and int(of) > 0:
+            yield int(done) / int(of)
 
 
 def _problem(folder: Path) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,24 +53,38 @@ STARTS = 48
 """Points of the body with the smallest determinants, from which the search descends, too."""
 
 
-def find_fold(
-    steps: Sequence[StepOf],
-    number: int,
-    starts: Points,
-    *,
-    stride: float,
-    samples: Points,
-    inside: Inside,
-    surely_inside: Inside,
-) -> tuple[Fold, ...]:
+@dataclass(frozen=True, eq=False, slots=True)
+class Search:
+    """Where folds of a step are looked for.
+
+    Parameters
+    ----------
+    starts : (K, n) float64, mm
+        Where the step meets them.
+    stride : float
+        Of the first moves from there, mm.
+    samples : (N, n) float64, mm
+        Points of the body at rest, of which the worst are starts, too.
+    inside, surely_inside : Inside
+        Which points at rest are in the body: a quick test, and a slow one that counts.
+    """
+
+    starts: Points
+    stride: float
+    samples: Points
+    inside: Inside
+    surely_inside: Inside
+
+
+def find_fold(steps: Sequence[StepOf], number: int, search: Search) -> tuple[Fold, ...]:
     """A proved fold of step ``number`` (counted from 0), or nothing.
 
-    Descends to places with a negative determinant from ``starts`` (K, n), mm, where the step meets them, and from the
-    worst of ``samples`` (N, n), mm, points of the body at rest. The places found are followed back through the steps
-    before to points at rest, which are tried only when ``inside`` the body, a quick test, and count only when
-    ``surely_inside``, a slow one. Each is then carried forward in proved balls, and the fold is claimed when the
-    determinant is negative on the whole last ball.
+    Descends to places with a negative determinant. The places found are followed back through the steps before to
+    points at rest, which are tried only when they are inside the body, and count only when they surely are. Each is
+    then carried forward in proved balls, and the fold is claimed when the determinant is negative on the whole last
+    ball.
     """
+    stride, samples = search.stride, search.samples
     kind, field = steps[number]
     carried = _carried(steps[:number], kind, field, samples)
     known = np.isfinite(carried).all(axis=1)
@@ -77,15 +92,15 @@ def find_fold(
     determinants = _deciding(kind, field.gradient(carried))
     order = np.argsort(determinants, kind="stable")
     folded = order[determinants[order] < 0.0][:FOLDED_SAMPLES]
-    fold = _first_fold(steps, number, samples[folded], surely_inside)
+    fold = _first_fold(steps, number, samples[folded], search.surely_inside)
     beside = beside_jumps(field, (1.0,) if kind is StepKind.EXPLICIT else (0.5, -0.5), stride)
-    starts = np.concatenate([starts, carried[order[:STARTS]], beside.reshape(-1, samples.shape[1])])
+    starts = np.concatenate([search.starts, carried[order[:STARTS]], beside.reshape(-1, samples.shape[1])])
     if fold or not len(starts):
         return fold
     places = _descend(kind, field, starts, stride)[:FOLLOWED]
     rest = _back_to_rest(steps[:number], kind, field, places)
     rest = rest[np.isfinite(rest).all(axis=1)]
-    return _first_fold(steps, number, rest[inside(rest)][:CANDIDATES], surely_inside)
+    return _first_fold(steps, number, rest[search.inside(rest)][:CANDIDATES], search.surely_inside)
 
 
 def _first_fold(steps: Sequence[StepOf], number: int, candidates: Points, surely_inside: Inside) -> tuple[Fold, ...]:
@@ -132,39 +147,31 @@ def _before(steps: Sequence[StepOf], rest: Points) -> Cover:
     return cover
 
 
-def find_second_midpoint(
-    steps: Sequence[StepOf],
-    number: int,
-    starts: Points,
-    *,
-    stride: float,
-    samples: Points,
-    inside: Inside,
-    surely_inside: Inside,
-    among: Inside,
-) -> tuple[Fold, ...]:
+def find_second_midpoint(steps: Sequence[StepOf], number: int, search: Search, *, among: Inside) -> tuple[Fold, ...]:
     """A point of the body that has two midpoints under Cayley step ``number``, proved, or nothing.
 
     id - D/2 folds there: its determinant is negative at one of the two, which lies ``among`` those of the body, and so
-    the step is no map of the body. Takes what `find_fold` takes.
+    the step is no map of the body.
     """
     kind, field = steps[number]
     if kind is not StepKind.CAYLEY:
         return ()
     before = steps[:number]
-    places = _after(before, samples)
+    places = _after(before, search.samples)
     places = places[np.isfinite(places).all(axis=1)]
     worst = np.argsort(_reversed_behind(field, places), kind="stable")[:STARTS]
-    places = np.concatenate([places[worst], _descend(kind, field, np.concatenate([starts, places[worst]]), stride)])
+    starts = np.concatenate([search.starts, places[worst]])
+    places = np.concatenate([places[worst], _descend(kind, field, starts, search.stride)])
     places = places[among(places)]
     places = places[_reversed_behind(field, places) < 0.0][:FOLLOWED]
     rest = _back_to_rest(before, kind, field, places)
     known = np.isfinite(rest).all(axis=1)
     places, rest = places[known], rest[known]
-    known = inside(rest)
+    known = search.inside(rest)
     places, rest = places[known][:CANDIDATES], rest[known][:CANDIDATES]
-    for place, point in zip(places[surely_inside(rest)], rest[surely_inside(rest)], strict=True):
-        fold = _two_midpoints(steps, number, point[None], place[None], stride)
+    sure = search.surely_inside(rest)
+    for place, point in zip(places[sure], rest[sure], strict=True):
+        fold = _two_midpoints(steps, number, point[None], place[None], search.stride)
         if fold:
             return fold
     return ()

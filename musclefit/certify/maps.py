@@ -53,7 +53,7 @@ from musclefit.certify.ball_covers import (
 from musclefit.certify.body_shells import Patches, Shell, box_shell, point_patches, skin_shell, voxel_shell
 from musclefit.certify.boxes import BoxProof, prove
 from musclefit.certify.domains import Hull
-from musclefit.certify.folds import find_fold, find_second_midpoint
+from musclefit.certify.folds import Search, find_fold, find_second_midpoint
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
 from musclefit.certify.pairs import PairProof, prove_one_to_one
 from musclefit.certify.regions import CELLS, Region
@@ -206,23 +206,15 @@ def _judge(
         step = trial.certificate(proof)
         domain: Hull | Region = trial.domain
         if step.claim is not Claim.CERTIFIED:
-            starts, stride = trial.suspects(proof)
-            fold = find_fold(
-                steps,
-                number,
-                starts,
-                stride=stride,
-                samples=body.samples(),
-                inside=body.inside,
-                surely_inside=body.surely_inside,
-            )
+            search = Search(*trial.suspects(proof), body.samples(), body.inside, body.surely_inside)
+            fold = find_fold(steps, number, search)
             if fold:
                 found.append(replace(step, claim=Claim.REFUTED))
                 return tuple(found), fold
             for_pairs = (1.0 - kept_share) * (budget - step.boxes_examined) if pairs_share else 0.0
             step, domain = trial.by_pairs(step, round(for_pairs), part)
             if step.claim is not Claim.CERTIFIED:
-                fold = trial.fold_after_pairs(steps, number, starts, stride, body)
+                fold = trial.fold_after_pairs(steps, number, search)
                 if fold:
                     found.append(replace(step, claim=Claim.REFUTED))
                     return tuple(found), fold
@@ -523,32 +515,16 @@ class _Trial:
         )
 
     def fold_after_pairs(
-        self, steps: Sequence[tuple[StepKind, Field]], number: int, starts: Points, stride: float, body: _Body
+        self, steps: Sequence[tuple[StepKind, Field]], number: int, search: Search
     ) -> tuple[Fold, ...]:
         """A fold where a proof by pairs met a place with reversed orientation, or a place with two midpoints."""
-        samples = body.samples()
         fold: tuple[Fold, ...] = ()
         if len(self.collapsed):
-            fold = find_fold(
-                steps,
-                number,
-                self.collapsed,
-                stride=NEAR * stride,
-                samples=samples[:0],
-                inside=body.inside,
-                surely_inside=body.surely_inside,
-            )
+            near = replace(search, starts=self.collapsed, stride=NEAR * search.stride, samples=search.samples[:0])
+            fold = find_fold(steps, number, near)
         if not fold and self.kind is StepKind.CAYLEY:
-            fold = find_second_midpoint(
-                steps,
-                number,
-                np.concatenate([self.collapsed, starts]),
-                stride=stride,
-                samples=samples,
-                inside=body.inside,
-                surely_inside=body.surely_inside,
-                among=self.domain.contains,
-            )
+            wider = replace(search, starts=np.concatenate([self.collapsed, search.starts]))
+            fold = find_second_midpoint(steps, number, wider, among=self.domain.contains)
         return fold
 
     def suspects(self, proof: BoxProof | None) -> tuple[Points, float]:

@@ -292,7 +292,7 @@ def test_the_real_forearm_does_not_fold_where_it_was_tested(forearm: Retargeting
     assert side.map.points_tested > 200_000
     assert (side.map.folded_points, side.map.claim.value) == (0, "certified")
     assert side.map.boxes_examined > 0 == side.map.boxes_left
-    assert side.map.margin > 0.0
+    assert side.map.margin >= 0 > forearm.baseline.deformation.records[0].margin, "the one shot breaks the rule"
     assert side.map.min_jacobian_determinant > max(0.0, shot.map.min_jacobian_determinant)
 
 

@@ -22,6 +22,7 @@ from numba.core.codegen import get_host_cpu_features
 from musclefit.certify.maps import certify_map
 from musclefit.certify.model import MapCertificate
 from musclefit.compiling import compiled_folder, source_stamp
+from musclefit.errors import InputError
 from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.fitting.solenoidal import SolenoidalBackend
 from musclefit.fields.locked import Fade, LockedField
@@ -30,6 +31,7 @@ from musclefit.flow.locks import BoneLocks, LockSettings, Stand
 from musclefit.flow.steps import CayleyStep
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.io.folder_locks import held
 from musclefit.rig.job import Job
 from musclefit.vocabulary import StepKind
 
@@ -95,6 +97,12 @@ def _mark() -> Path:
     return compiled_folder() / f"ahead-{hashlib.sha256('|'.join(map(str, made_of)).encode()).hexdigest()[:16]}"
 
 
+def compile_ahead() -> None:
+    """Compile, and leave the mark; nothing where another process is at it already."""
+    with suppress(InputError), held(_mark()):
+        small_march_and_proof()
+        _mark().touch()
+
+
 if __name__ == "__main__":
-    small_march_and_proof()
-    _mark().touch()
+    compile_ahead()

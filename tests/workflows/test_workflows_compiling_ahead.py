@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from musclefit.io.folder_locks import held
 from musclefit.rig.settings import BoneSettings, CertificateSettings
 from musclefit.vocabulary import Claim
 from musclefit.workflows import compiling_ahead
@@ -61,6 +62,18 @@ def test_a_process_is_begun_only_where_it_gains_something(tmp_path: Path, monkey
     expected = [[sys.executable, "-m", compiling_ahead.MODULE]] if of == "a first run" else []
     assert begun == expected
     assert ended == (["told", "gone"] if expected else [])
+
+
+def test_one_process_at_a_time_compiles(tmp_path: Path, monkeypatch: Any) -> None:
+    """Workers that begin together would each take the memory of one more."""
+    done: list[str] = []
+    monkeypatch.setattr(compiling_ahead, "_mark", lambda: tmp_path / "mark")
+    monkeypatch.setattr(compiling_ahead, "small_march_and_proof", lambda: done.append("compiled"))
+    with held(tmp_path / "mark"):
+        compiling_ahead.compile_ahead()
+    assert (done, (tmp_path / "mark").exists()) == ([], False)
+    compiling_ahead.compile_ahead()
+    assert (done, (tmp_path / "mark").exists()) == (["compiled"], True)
 
 
 @pytest.mark.slow

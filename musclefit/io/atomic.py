@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from musclefit.errors import InputError
@@ -24,10 +26,25 @@ def write_atomically(path: Path, text: str) -> Path:
 def write_bytes_atomically(path: Path, data: bytes) -> Path:
     """Write a file beside, then put it in place."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    build = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}")
+    with partial_file(path) as partial:
+        partial.write_bytes(data)
+    return path
+
+
+@contextmanager
+def partial_file(path: Path, *, ending: str = "") -> Iterator[Path]:
+    """A path beside to write to, which takes the file's place at the end; where the block fails nothing is left of it.
+
+    Parameters
+    ----------
+    path : Path
+        In a folder that is there.
+    ending : str
+        Of the path beside, where the writer goes by it.
+    """
+    partial = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}{ending}")
     try:
-        build.write_bytes(data)
-        return build.replace(path)
-    except BaseException:
-        build.unlink(missing_ok=True)
-        raise
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -18,6 +18,7 @@ import numpy as np
 from musclefit._version import __version__
 from musclefit.anatomy.model import Anatomy
 from musclefit.geometry.arrays import Points
+from musclefit.io.atomic import partial_file
 from musclefit.io.formats.vtk_series import posed_surfaces
 from musclefit.io.run_folder import save_whole
 from musclefit.pipeline.retarget import settings_of
@@ -76,12 +77,8 @@ def tissues_in_order(anatomy: Anatomy) -> list[dict[str, Any]]:
 
 def write_rest(sequence: Path, rest: Anatomy) -> None:
     """Write the given triangles at rest, in double precision, whole or not at all."""
-    partial = sequence / f".rest.partial-{uuid.uuid4().hex}.vtp"
-    try:
+    with partial_file(sequence / REST, ending=".vtp") as partial:
         save_whole(posed_surfaces(rest, rest, time_s=0.0, double=True), partial)
-        partial.replace(sequence / REST)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_frame(sequence: Path, frame: Frame, *, job: Job, cpu_s: Mapping[str, float]) -> None:

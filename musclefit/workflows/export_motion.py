@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from musclefit.errors import InputError
-from musclefit.io.atomic import check_file_writable
+from musclefit.io.atomic import check_file_writable, partial_file
 from musclefit.io.finished_sequences import read_finished_sequence
 from musclefit.io.formats.vtkhdf import write_vtkhdf
 from musclefit.progress import Progress
@@ -72,18 +71,13 @@ def export_motion(sequence: str | Path, out: str | Path, *, progress: Progress |
     if not found.made:
         raise InputError(f"{sequence}: no frame of this sequence was made, so that there is no motion to write")
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}")
-    try:
-        with watched(progress) as stages, stages.stage("motion") as tick:
+    with partial_file(path) as partial, watched(progress) as stages, stages.stage("motion") as tick:
 
-            def steps() -> Any:
-                for number, frame in enumerate(found.made, start=1):
-                    yield frame.summary.time_s, frame.stored.vertices()
-                    tick(number / len(found.made))
+        def steps() -> Any:
+            for number, frame in enumerate(found.made, start=1):
+                yield frame.summary.time_s, frame.stored.vertices()
+                tick(number / len(found.made))
 
-            written = write_vtkhdf(partial, found.rest, steps())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+        written = write_vtkhdf(partial, found.rest, steps())
     not_made = tuple(frame.summary.time_s for frame in found.frames if not frame.made)
     return MotionWritten(path, written, not_made, len(tuple(found.rest)), len(found.rest.vertices()))

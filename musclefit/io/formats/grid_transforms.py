@@ -8,7 +8,6 @@ result back to it.
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame, Grid, in_frame
-from musclefit.io.atomic import check_file_writable
+from musclefit.io.atomic import check_file_writable, partial_file
 from musclefit.io.formats.nifti import require_nibabel, write_displacements
 
 IMAGES, TRANSFORMS, NIFTI = (".nrrd", ".mha"), (".h5",), (".nii.gz", ".nii")
@@ -78,18 +77,15 @@ def write_grid_transform(path: Path, vectors: NDArray[Any], grid: Grid, *, descr
         )
     image = _image(sitk, path, vectors, grid, dtype=np.float64 if ending in TRANSFORMS else np.float32)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}{ending}")
     try:
-        if ending in TRANSFORMS:
-            sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(unfinished))
-        else:
-            image.SetMetaData("Comment", description.encode("ascii", "replace").decode("ascii"))
-            sitk.WriteImage(image, str(unfinished), useCompression=True)
-        unfinished.replace(path)
+        with partial_file(path, ending=ending) as unfinished:
+            if ending in TRANSFORMS:
+                sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(unfinished))
+            else:
+                image.SetMetaData("Comment", description.encode("ascii", "replace").decode("ascii"))
+                sitk.WriteImage(image, str(unfinished), useCompression=True)
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be written ({error}); check the free space") from None
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def require_orthogonal(grid: Grid, *, source: Path) -> None:

@@ -8,7 +8,6 @@ Lengths are mm, so that consistent units are N, MPa and tonnes. Materials are pl
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -20,6 +19,7 @@ import numpy as np
 
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Int, Points, Tets, frozen
+from musclefit.io.atomic import partial_file
 
 UNITS = "lengths in mm; with N that gives MPa, with tonnes tonne/mm3"
 PLACEHOLDER = "materials are placeholders: neo-Hookean or linear elastic, E 1 MPa, Poisson's ratio 0.3, 1e-9 tonne/mm3"
@@ -153,14 +153,10 @@ def write_solver_file(path: Path, tets: LabelledTets, *, msh: MshVersion = MshVe
         An ending that is none of ``FORMATS``, or the path is a folder.
     """
     check_solver_path(path)
-    partial = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex}{path.suffix}")
-    try:
-        ending = path.suffix.lower()
-        write = _write_gmsh_2 if (ending, msh) == (".msh", MshVersion.V2) else FORMATS[ending]
+    ending = path.suffix.lower()
+    write = _write_gmsh_2 if (ending, msh) == (".msh", MshVersion.V2) else FORMATS[ending]
+    with partial_file(path, ending=path.suffix) as partial:
         write(partial, tets)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def check_solver_path(path: Path) -> None:

@@ -154,7 +154,7 @@ def import_osim(
             meshes = placed_meshes(read, files)
         if not any(not mesh.fault for mesh in meshes):
             raise InputError(
-                f"{source}: no mesh of the model is a closed surface, so there is not a bone to drive"
+                f"{source}: no mesh of the model is a closed surface, so there is no bone to drive"
                 + (f" (the first: {meshes[0].fault})" if meshes else "")
                 + "; mend them with `musclefit repair`, or attach closed ones"
             )

@@ -24,7 +24,7 @@ def schema(name: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        There is not a schema of that name.
+        There is no schema of that name.
     """
     if name not in NAMES:
         raise InputError(f"found {name!r}; there are schemas of: {', '.join(NAMES)}")

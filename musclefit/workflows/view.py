@@ -53,7 +53,7 @@ def view(folder: str | Path) -> bool:
     Raises
     ------
     InputError
-        There is not a page.
+        There is no page.
     """
     return webbrowser.open(page_of(folder).as_uri())
 

@@ -149,7 +149,7 @@ def test_what_cannot_be_written_is_refused_and_leaves_what_was_there(tets: Label
     (tmp_path / "folder.feb").mkdir()
     with pytest.raises(InputError, match="is a folder"):
         write_solver_file(tmp_path / "folder.feb", tets)
-    with pytest.raises(InputError, match="there is not a folder"):
+    with pytest.raises(InputError, match="there is no folder"):
         write_solver_file(tmp_path / "none" / "arm.feb", tets)
     with pytest.raises(InputError, match="no tetrahedron"):
         LabelledTets("none", tets.vertices, tets.tets[:0], tets.tissue_of_tet[:0], NAMES)

@@ -166,7 +166,7 @@ def check_solver_path(path: Path) -> None:
     if path.is_dir():
         raise InputError(f"{path} is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: there is not a folder {path.parent}; make it first")
+        raise InputError(f"{path}: there is no folder {path.parent}; make it first")
 
 
 def _write_febio(path: Path, tets: LabelledTets) -> None:

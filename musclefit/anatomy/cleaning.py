@@ -206,8 +206,8 @@ def _require_closed(vertices: Points, faces: Faces, *, name: str, source: str) -
         return
     boundary = edges.boundary
     way_out = (
-        "Close it in a mesh editor (fill holes, merge vertices that nearly coincide), or leave the tissue out: volumes "
-        "and overlaps of an open surface mean nothing"
+        "Close it with musclefit repair IN OUT, which fills holes and joins edges that nearly coincide, or leave the "
+        "tissue out: an open surface has neither volume nor overlaps"
     )
     if not len(boundary):
         raise MeshError(
@@ -230,13 +230,15 @@ def _consistent(vertices: Points, faces: Faces, notes: _Notes, *, source: str) -
         n_faces = int(oriented.one_sided.sum())
         raise MeshError(
             f"{source}: tissue {notes.name!r} has no inside: {n_faces} of its {len(faces)} faces form a one-sided "
-            f"surface near {_place(vertices[faces[oriented.one_sided][0]])}. Rebuild it in a mesh editor"
+            f"surface near {_place(vertices[faces[oriented.one_sided][0]])}. No repair can give it one: "
+            "cut it open in a mesh editor and close the parts, or leave the tissue out"
         )
     unbalanced = edges_of(oriented.faces).unbalanced
     if len(unbalanced):
         raise MeshError(
             f"{source}: tissue {notes.name!r} has {_count(len(unbalanced), 'edge')} where more than two faces meet and "
-            f"do not bound an inside, one near {_place(vertices[unbalanced[0]])}. Rebuild the surface in a mesh editor"
+            f"do not bound an inside, one near {_place(vertices[unbalanced[0]])}. "
+            "Rebuild the surface with musclefit repair IN OUT"
         )
     first = int(np.flatnonzero(oriented.turned)[0])
     notes.add(
@@ -271,8 +273,7 @@ def _outwards(surface: TriMesh, notes: _Notes) -> TriMesh:
         notes.add(
             "nested",
             f"{_count(int(nested.sum()), 'piece')} of {_listed(volumes[nested])} mm³ inside another piece and turned "
-            f"outwards too, so that their volume counts twice, the first near {_place(first)}; kept. Turn them inwards "
-            "if they are cavities",
+            f"outwards too, so that their volume counts twice, the first near {_place(first)}; kept",
         )
     return surface
 
@@ -282,7 +283,8 @@ def _require_volume(surface: TriMesh, *, name: str, source: str) -> None:
     if volume <= LEAST_COMPACTNESS * area**1.5:
         raise MeshError(
             f"{source}: tissue {name!r} encloses no volume ({volume:.3g} mm³ within {area:.3g} mm²): its two sides lie "
-            "on each other. Give it thickness in a mesh editor, or leave it out"
+            "on each other. Delete one side in a mesh editor and give the other a thickness with musclefit repair "
+            "IN OUT --thicken-mm 0.5, or leave the tissue out"
         )
 
 

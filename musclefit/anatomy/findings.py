@@ -8,11 +8,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something found in the input: ``code`` is a short stable word, ``message`` says it with numbers."""
+    """Something found in the input.
+
+    Parameters
+    ----------
+    subject : str
+        The tissue or file.
+    code : str
+        A short stable word.
+    message : str
+        What was found, with numbers.
+    next_step : str
+        What to do about it; empty where the message says so, or where nothing need be done.
+    """
 
     subject: str
     code: str
     message: str
+    next_step: str = ""
 
 
 def some_of(words: Iterable[str], *, most: int = 8) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from musclefit.anatomy.findings import Finding
 from musclefit.report.comparison import Cell, compare
 from musclefit.report.model import MeshReport, Report
 from musclefit.validate.model import Check
@@ -45,9 +47,12 @@ def print_inspection(report: MeshReport, *, folder: Path | None) -> None:
     triangles = sum(t.triangles for t in report.tissues)
     console.print(Text(f"{len(report.tissues)} tissues, {triangles} triangles, {len(report.findings)} findings"))
     for finding in report.findings[:20]:
-        console.print(Text(f"  {finding.subject}: {finding.message}"))
+        said = finding.message.removeprefix(f"{finding.subject}: ")
+        console.print(Text(f"  {finding.subject}: {said} [{finding.code}]"))
     if len(report.findings) > 20:
         console.print(Text(f"  ... and {len(report.findings) - 20} more, all in the report"))
+    for codes, next_step in _next_by_code(report.findings):
+        console.print(Text(f"  next, for {', '.join(codes)}: {next_step}"))
     console.print(Text(f"{len(report.overlaps.pairs)} overlapping pairs, {report.overlap_total_mm3:.6g} mm³ in all"))
     for pair in report.overlaps.pairs[:20]:
         console.print(Text(f"  {pair.rest_mm3:12.4g} mm³  {pair.a} / {pair.b}"))
@@ -97,6 +102,15 @@ def print_failed(console: Console, checks: tuple[Check, ...]) -> None:
             limit = f", limit {check.limit:.4g}" if check.limited else ""
             console.print(Text(f"failed: {check.name} {value} {check.unit}{limit}{place}"))
             console.print(Text(f"  next: {check.next_step}"))
+
+
+def _next_by_code(findings: Iterable[Finding]) -> list[tuple[list[str], str]]:
+    """Each next step once, with the codes of the findings that it is for."""
+    codes: dict[str, dict[str, None]] = {}
+    for found in findings:
+        if found.next_step:
+            codes.setdefault(found.next_step, {})[found.code] = None
+    return [(list(of), next_step) for next_step, of in codes.items()]
 
 
 def _cell(cell: Cell) -> Text:

@@ -191,9 +191,9 @@ def read_anatomy(
 
 def _none_usable(unusable: Sequence[Finding]) -> MeshError:
     if len(unusable) == 1:
-        return MeshError(f"{unusable[0].message}. Or mend it with musclefit repair")
+        return MeshError(unusable[0].message)
     some = "; ".join(finding.message for finding in unusable[:6]) + ("; ..." if len(unusable) > 6 else "")
-    return MeshError(f"none of {len(unusable)} surfaces can be used; mend them with musclefit repair: {some}")
+    return MeshError(f"none of {len(unusable)} surfaces can be used: {some}")
 
 
 def surface_files(source: Path) -> tuple[dict[str, Path], tuple[Finding, ...]]:

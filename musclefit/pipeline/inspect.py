@@ -13,6 +13,7 @@ from musclefit.geometry.arrays import Gradients, Points
 from musclefit.geometry.measures import enclosed_volume
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import MeshReport, TissueSummary
+from musclefit.report.next_steps import with_next_steps
 from musclefit.validate.closeness import close_findings
 from musclefit.validate.overlaps import check_outside_skin, rest_overlaps, solid_anatomy
 
@@ -64,7 +65,7 @@ def inspect(
         title=title,
         frame=anatomy.frame,
         tissues=tissues,
-        findings=(*findings, *close),
+        findings=with_next_steps((*findings, *close)),
         overlaps=replace(overlaps, not_checked=(*overlaps.not_checked, *outside.not_checked)),
     )
 

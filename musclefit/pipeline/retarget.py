@@ -39,6 +39,7 @@ from musclefit.pipeline.proving import proved
 from musclefit.pipeline.refining import Made, Sampled, deform_finely, move_finely
 from musclefit.progress import Progress, Silent
 from musclefit.report.model import CONVERGED, Report, Side, TetSummary
+from musclefit.report.next_steps import with_next_steps
 from musclefit.rig.job import Job
 from musclefit.rig.settings import MeshSettings
 from musclefit.validate.joint_ranges import JointRange
@@ -194,7 +195,9 @@ def retarget(job: Job, *, tets: TetAnatomy | TetsLater | None, progress: Progres
         tets=filled,
         result=result,
         baseline=_one_shot(finish),
-        findings=(*job.findings, *_chosen(job), *unknown, *kept, *_touching(result.side.overlaps), *of_tets),
+        findings=with_next_steps(
+            (*job.findings, *_chosen(job), *unknown, *kept, *_touching(result.side.overlaps), *of_tets)
+        ),
         joint_ranges=ranges,
         paper_loop=_papers_loop(finish),
     )

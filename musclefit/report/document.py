@@ -332,6 +332,7 @@ class Finding(Part):
     subject: str = _says("The tissue or file.")
     code: str = _says("A short stable word.")
     message: str = _says("What was found, with numbers.")
+    next_step: str = _says("What to do about it; empty where the message says so or nothing need be done.", default="")
 
 
 class Check(Part):

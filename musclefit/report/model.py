@@ -248,7 +248,9 @@ class MeshReport:
         for code in self.fail_on:
             found = [finding.subject for finding in self.findings if finding.code == code]
             place = some_of(found, most=3)
-            checks.append(Check(code, float(len(found)), 0.0, "findings", place, next_step=next_steps.REST_FAULTS))
+            checks.append(
+                Check(code, float(len(found)), 0.0, "findings", place, next_step=next_steps.after_findings(code))
+            )
         unusable = any(finding.code == "unusable" for finding in self.findings)
         checked = _all_checked(self.overlaps.not_checked)
         return (*checks, replace(checked, next_step=next_steps.REST_UNUSABLE) if unusable else checked)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from musclefit.anatomy.findings import Finding
 from musclefit.flow.deformation import Status
+from musclefit.validate.closeness import GAP, SLOT, THIN
 from musclefit.validate.model import MeshCheck
 from musclefit.vocabulary import Purpose
 
@@ -79,7 +85,6 @@ UNCHECKED = 'Repair the surfaces listed under "Not checked" with musclefit repai
 
 REST_OVERLAP = f"Remove it with {PRIORITY}."
 REST_UNUSABLE = "Repair the listed surfaces with musclefit repair IN OUT, or leave them out."
-REST_FAULTS = "Repair the listed surfaces with musclefit repair IN OUT, or remove this from --fail-on."
 REST_OUT_OF_SKIN = "Correct the surface of the skin or of the listed tissue, or its kind with --kind NAME=KIND."
 
 POSE_REFUSED = (
@@ -91,14 +96,53 @@ PASSED_THROUGH = "Inspect the neighbouring frames, and set --frames higher if th
 NOT_SETTLED = "Set --frames higher: closer frames leave less undecided between them."
 NOT_EXAMINED = "Install what it needs (pip install 'musclefit[motion]') and run the sequence again: frames are kept."
 
-NOT_VALID = "Set --limit-mm higher, or first repair the listed surfaces in a mesh editor."
-TOO_FAR = "Set --limit-mm to a tolerable distance, or first repair the listed surface in a mesh editor."
+NOT_VALID = "Set --limit-mm higher, or first mend the listed surfaces in a mesh editor."
+TOO_FAR = "Set --limit-mm to a tolerable distance, or first mend the listed surface in a mesh editor."
 CHANGED_MUCH = (
     "Inspect the listed tissue; if it is right, set --max-change-percent higher; otherwise give it another kind "
-    "(--kind name=other), let other tissues give way (--rule, --resolve split), or first repair it in a mesh editor."
+    "(--kind name=other), let other tissues give way (--rule, --resolve split), or first mend it in a mesh editor."
 )
 FELL_APART = "Inspect the listed tissue; give it another kind (--kind name=bone), or change --rule or --clearance-mm."
 STILL_MEET = "Run musclefit repair once more on its output, or leave out the smaller tissue of the listed pair."
+
+REPAIRED = "Remove it with musclefit repair IN OUT."
+CORRECTED = "It was corrected for this report alone; musclefit repair IN OUT writes the corrected surface."
+FINDINGS: Mapping[str, str] = MappingProxyType(
+    {
+        **dict.fromkeys(("self-crossing", "self-touching", "non-manifold", "zero-area"), REPAIRED),
+        **dict.fromkeys(
+            ("merged-vertices", "repeated-vertices", "repeated-faces", "turned-faces", "inside-out"), CORRECTED
+        ),
+        "pieces": "Save pieces that are different tissues as files of their own; musclefit repair IN OUT removes stray "
+        "ones below --stray-percent of the volume.",
+        "cavities": "Keep them if the tissue is hollow there; otherwise delete the inner pieces in a mesh editor.",
+        "nested": "If the inner pieces are cavities, musclefit repair IN OUT turns them inwards; otherwise delete them "
+        "in a mesh editor.",
+        "unused-vertices": "They change no result; export the surface without them if they are not wanted.",
+        "cut-polygons": "Nothing need be done; export triangles to choose yourself how they are cut.",
+        "unknown-kind": "Give its kind with --kind NAME=KIND, or in [anatomy.kinds] of a rig.",
+        "not-read": "Move these elsewhere; save surfaces among them as PLY, STL, OBJ or VTP.",
+        THIN: "Thicken the wall in a mesh editor, or set --thinnest-mm lower.",
+        SLOT: "Widen or fill the slot in a mesh editor, or set --thinnest-mm lower.",
+        GAP: "Widen the gap with musclefit repair IN OUT --resolve priority --clearance-mm, or set "
+        "--smallest-gap-mm lower.",
+    }
+)
+"""What to do about what is found in surfaces, by the finding's code."""
+
+
+def with_next_steps(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """The findings, each with what to do about it where its code is in ``FINDINGS``."""
+    return tuple(replace(found, next_step=FINDINGS.get(found.code, found.next_step)) for found in findings)
+
+
+def after_findings(code: str) -> str:
+    """Where findings of a code that ``check`` was to fail on were made."""
+    return (
+        f"{FINDINGS[code]} To allow it, remove {code} from --fail-on."
+        if code not in (THIN, SLOT, GAP)
+        else FINDINGS[code]
+    )
 
 
 def after_ending(status: str) -> str:

@@ -65,7 +65,7 @@ def test_an_open_surface_is_refused_with_its_hole_and_a_way_out():
     assert f"{around} boundary edges around 1 hole, the largest with {around} edges near (" in message
     place = [float(v) for v in re.search(r"near \((.*?)\) mm", message)[1].split(",")]
     assert np.linalg.norm(np.array(place) - vertices[top]) < 2.0
-    assert "fill holes" in message
+    assert "Close it with musclefit repair IN OUT, which fills holes" in message
 
 
 def test_two_holes_are_counted():

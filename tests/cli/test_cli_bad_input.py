@@ -272,7 +272,7 @@ def _rewritten(at: Place, vertices: np.ndarray, faces: np.ndarray) -> Sequence[s
     return at.run()
 
 
-@case("{bone}", "'bone_distal' is not closed", "4 boundary edges around 1 hole", "mesh editor")
+@case("{bone}", "'bone_distal' is not closed", "4 boundary edges around 1 hole", "musclefit repair IN OUT")
 def open_mesh(at: Place) -> Sequence[str]:
     surface = TISSUES["bone_distal"]
     first, *others = (set(face) for face in surface.faces.tolist())
@@ -294,7 +294,7 @@ def face_beyond_the_vertices(at: Place) -> Sequence[str]:
     return _rewritten(at, TISSUES["bone_distal"].vertices, faces)
 
 
-@case("{bone}", "encloses no volume", "thickness")
+@case("{bone}", "encloses no volume", "musclefit repair IN OUT --thicken-mm")
 def flat_mesh(at: Place) -> Sequence[str]:
     return _rewritten(at, TISSUES["bone_distal"].vertices * (1, 1, 0), TISSUES["bone_distal"].faces)
 

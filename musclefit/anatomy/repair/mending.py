@@ -127,7 +127,8 @@ def _turned(mesh: TriMesh, log: Log, source: str) -> TriMesh:
         at = place(mesh.vertices[mesh.faces[oriented.one_sided][0]])
         raise MeshError(
             f"{source}: {int(oriented.one_sided.sum())} of {len(mesh.faces)} faces form a one-sided surface, as a "
-            f"Möbius band is, near {at}: it has no inside, so nothing was repaired. Cut it in a mesh editor"
+            f"Möbius band is, near {at}: it has no inside, so nothing was repaired. Cut it open in a mesh editor, or "
+            "leave the tissue out"
         )
     count = int(oriented.turned.sum())
     if count:

@@ -146,8 +146,9 @@ def _local(given: Repaired, soup: TriMesh, log: Log, *, settings: RepairSettings
     if len(mesh.faces) < FEWEST_FACES or _encloses_nothing(mesh):
         volume = enclosed_volume(mesh) if len(mesh.faces) else 0.0
         raise MeshError(
-            f"{source}: {len(mesh.faces)} faces are left, which enclose {volume:.3g} mm³: it has no inside. Give "
-            "it thickness in a mesh editor, or leave it out"
+            f"{source}: {len(mesh.faces)} faces are left, which enclose {volume:.3g} mm³: it has no inside. If "
+            "two sides lie on each other, delete one in a mesh editor and give the other a thickness (--thicken-mm "
+            "0.5); else leave the tissue out"
         )
     return _result(given, mesh, own, settings=settings, way=Way.LOCAL)
 

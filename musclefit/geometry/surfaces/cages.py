@@ -158,7 +158,7 @@ def _require_sound(mesh: TriMesh, *, what: str) -> None:
     if len(edges.odd) or len(edges.non_manifold) or len(edges.unbalanced):
         raise MeshError(
             f"{what} is not a closed surface with two faces at each edge: {len(edges.boundary)} boundary edges, "
-            f"{len(edges.non_manifold)} with more than two faces; repair it in a mesh editor"
+            f"{len(edges.non_manifold)} with more than two faces; repair it with musclefit repair IN OUT"
         )
     if enclosed_volume(mesh) <= 0.0:
         raise MeshError(f"{what} is inside out; reverse its triangles")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from musclefit.io.anatomy import read_anatomy
     from musclefit.io.formats.landmarks import read_landmarks
     from musclefit.io.formats.motions import read_motion
+    from musclefit.io.given_fibres import FibreFiles
     from musclefit.io.rigs import find_rig, read_rig
     from musclefit.meshing.ftetwild import tetrahedralise
     from musclefit.pipeline.inspect import inspect
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Anatomy": "anatomy.model",
     "Claim": "vocabulary",
+    "FibreFiles": "io.given_fibres",
     "FieldError": "errors",
     "Handles": "rig.handles",
     "InputError": "errors",
@@ -133,6 +135,7 @@ _NAMED_OTHERWISE = {"register_kernel": "register"}
 __all__ = [
     "Anatomy",
     "Claim",
+    "FibreFiles",
     "FieldError",
     "Handles",
     "InputError",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import io
+import itertools
 import json
 import tempfile
 from collections.abc import Callable
@@ -384,6 +386,83 @@ def _fibre_files() -> list[bytes]:
     return [fibre_bytes({"a": one, "b": other})]
 
 
+def _given_fibres(path: Path) -> object:
+    from musclefit.io.given_fibres import FibreFiles, read_given_fibres
+
+    return read_given_fibres(FibreFiles(path), anatomy_frame="patient (LPS), mm", muscles=["biceps"])
+
+
+def _bundle() -> list[Any]:
+    return [np.random.default_rng(k).normal(size=(5 + k, 3)).astype(np.float32) for k in range(4)]
+
+
+def _tractograms(ending: str) -> Examples:
+    def made() -> list[bytes]:
+        from nibabel.streamlines import Tractogram, detect_format
+
+        found = io.BytesIO()
+        bundle = Tractogram(_bundle(), affine_to_rasmm=np.eye(4))
+        detect_format(f"a{ending}")(bundle).save(found)
+        return [found.getvalue()]
+
+    return made
+
+
+def _legacy_vtks() -> list[bytes]:
+    from vtkmodules.vtkIOLegacy import vtkPolyDataWriter, vtkUnstructuredGridWriter
+
+    return [
+        *_legacy_vtk(polylines(_bundle()), vtkPolyDataWriter),
+        *_legacy_vtk(_fibre_grid(), vtkUnstructuredGridWriter),
+    ]
+
+
+def _legacy_vtk(mesh: Any, writer: Callable[[], Any]) -> list[bytes]:
+    found = []
+    for version in (42, 51):
+        for binary in (False, True):
+            out = writer()
+            out.SetInputData(mesh)
+            out.SetFileVersion(version)
+            out.SetFileTypeToBinary() if binary else out.SetFileTypeToASCII()
+            with tempfile.TemporaryDirectory() as folder:
+                out.SetFileName(f"{folder}/file")
+                out.Write()
+                found.append((Path(folder) / "file").read_bytes())
+    return found
+
+
+def polylines(lines: list[Any]) -> Any:
+    """Lines as VTK has them, with a number for each."""
+    import pyvista as pv
+
+    mesh = pv.PolyData()
+    mesh.points = np.concatenate(lines)
+    ends = np.cumsum([0, *(len(line) for line in lines)])
+    mesh.lines = np.concatenate([[b - a, *range(a, b)] for a, b in itertools.pairwise(ends)])
+    mesh.cell_data["bundle"] = np.arange(len(lines))
+    mesh.point_data["FA"] = np.linspace(0.0, 1.0, ends[-1])
+    return mesh
+
+
+def _fibre_grid() -> Any:
+    grid = _grid()
+    grid.cell_data["fibres"] = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
+    return grid
+
+
+def _fibre_vtus() -> list[bytes]:
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    return _vtk_files(_fibre_grid, vtkXMLUnstructuredGridWriter)
+
+
+def _fibre_vtps() -> list[bytes]:
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+    return _vtk_files(lambda: polylines(_bundle()), vtkXMLPolyDataWriter)
+
+
 def _study(path: Path) -> object:
     from musclefit.io.studies import read_study
 
@@ -454,6 +533,11 @@ READERS = (
         "attachments csv", ".csv", _attachments, _given(b"muscle,end,bone,within_mm\na,origin,hum,3\nb,insertion,,\n")
     ),
     Reader("fibres npz", ".npz", _fibres, _fibre_files),
+    Reader("known fibres tck", ".tck", _given_fibres, _tractograms(".tck")),
+    Reader("known fibres trk", ".trk", _given_fibres, _tractograms(".trk")),
+    Reader("known fibres vtk", ".vtk", _given_fibres, _legacy_vtks),
+    Reader("known fibres vtp", ".vtp", _given_fibres, _fibre_vtps),
+    Reader("known fibres vtu", ".vtu", _given_fibres, _fibre_vtus),
     Reader("study toml", ".toml", _study, _studies),
     Reader("tets of a run", ".vtu", _run_tets, _vtus),
 )

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from musclefit.cli.options import JsonOption, QuietOption, SetOption, print_json
+from musclefit.errors import InputError
+from musclefit.geometry.images.grids import Frame
+from musclefit.vocabulary import Unit
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
+    from musclefit.muscles.given_fibres import FibreUse
     from musclefit.workflows.architecture import Architecture
 
 PASSED = 0
@@ -42,6 +46,34 @@ def architecture(
         float | None,
         Parameter(name="--within-mm", help="Largest distance of an attachment from its bone; chosen if not given."),
     ] = None,
+    fibres: Annotated[
+        Path | None,
+        Parameter(
+            name="--fibres",
+            help="File of known fibres, or folder of such: streamlines (.tck, .trk, .vtk, .vtp) or directions (.vtk, "
+            ".vtp, .vtu). They take the place of the flow in muscles that they lie in.",
+        ),
+    ] = None,
+    fibre_frame: Annotated[
+        Frame | None,
+        Parameter(
+            name="--fibre-frame", help="Frame of VTK's files of fibres: ras or lps; that of the anatomy without it."
+        ),
+    ] = None,
+    fibre_units: Annotated[
+        Literal["mm", "cm", "m"] | None,
+        Parameter(name="--fibre-units", help="Unit of VTK's files of fibres: mm, cm or m; mm without it."),
+    ] = None,
+    fibre_array: Annotated[
+        str, Parameter(name="--fibre-array", help="The array of vectors to take, where a file has several.")
+    ] = "",
+    fibre_reach_mm: Annotated[
+        float | None,
+        Parameter(
+            name="--fibre-reach-mm",
+            help="How far from a known place its direction holds; a quarter of the muscle's thickness without it.",
+        ),
+    ] = None,
     muscles: Annotated[
         tuple[str, ...],
         Parameter(name="--muscles", help="Name or shell-style pattern of the muscles to analyse. May be repeated."),
@@ -62,8 +94,21 @@ def architecture(
     json: JsonOption = False,
 ) -> int:
     """Find muscle attachments, fibre directions and moment arms, and map them by the rig's deformation."""
+    from musclefit.io.given_fibres import FibreFiles
     from musclefit.workflows.architecture import architecture as find
 
+    stated = {
+        "--fibre-frame": fibre_frame,
+        "--fibre-units": fibre_units,
+        "--fibre-array": fibre_array,
+        "--fibre-reach-mm": fibre_reach_mm,
+    }
+    if fibres is None and any(stated.values()):
+        said = ", ".join(option for option, value in stated.items() if value)
+        raise InputError(f"{said}: found no --fibres; name the file that it is said of, or leave it out")
+    given = None
+    if fibres is not None:
+        given = FibreFiles(fibres, fibre_frame, Unit(fibre_units) if fibre_units else None, fibre_array, fibre_reach_mm)
     folder = out or Path("musclefit-out") / f"{Path(rig).stem}-architecture"
     with TimedStages(shown=not quiet) as stages:
         found = find(
@@ -72,6 +117,7 @@ def architecture(
             overrides=set,
             attachments=attachments,
             within_mm=within_mm,
+            fibres=given,
             muscles=muscles,
             deform=not rest,
             curves=curves,
@@ -105,7 +151,14 @@ def _print(found: Architecture) -> None:
                 f"{row.pcsa_mm2:8.0f}  {stretch}"
             )
         )
+    for use in found.fibre_files:
+        console.print(Text(_used(use)))
+    for note in found.notes:
+        console.print(Text(note))
     for row in found.muscles:
+        if row.data_share is not None:
+            known = f"known in {100.0 * row.data_share:.3g} % of its volume"
+            console.print(Text(f"{row.name}: {row.lines} {row.fibres}, {known}"))
         if row.note:
             console.print(Text(f"{row.name}: {row.note}"))
     for after in found.carried:
@@ -114,3 +167,18 @@ def _print(found: Architecture) -> None:
             console.print(Text(f"{after.name}: fibres are more than doubled or halved in {share:.2g} % of its volume"))
     for name, reason in found.left_out.items():
         console.print(Text(f"{name}: no fibres: {reason}"))
+
+
+def _used(use: FibreUse) -> str:
+    """What became of a file of fibres."""
+    told = []
+    if use.lines:
+        told.append(
+            f"{use.lines_in_muscles} of {use.lines} streamlines are in muscles, {use.lines_outside} are left out; "
+            f"{100.0 * use.cut_share:.2g} % of their length is cut off outside"
+        )
+    if use.directions:
+        told.append(
+            f"{use.directions_in_muscles} of {use.directions} directions are in muscles, {use.directions_outside} not"
+        )
+    return f"{use.file}: {'; '.join(told)}"

@@ -2,8 +2,8 @@
 
 Each line of `streamlines` stands for the same volume, so that means over lines are means over the volume. The *belly*
 is the part of a muscle's length where its cross-section is at least `BELLY_SHARE` of its largest; the rest is taken for
-tendon. A *path* is a line from end to end, a *fibre* its part in the belly. In a pennate muscle true fibres run from
-tendon sheet to tendon sheet and are shorter than that.
+tendon. A *path* is a line from end to end, a *fibre* its part in the belly, or all of it where lines are known to be
+fibres. In a pennate muscle true fibres run from tendon sheet to tendon sheet and are shorter than that part.
 """
 
 from __future__ import annotations
@@ -83,6 +83,8 @@ class MuscleArchitecture:
 
     ``origin`` and ``insertion`` are bones, empty at a free end. ``pcsa_mm2`` is the volume over the mean fibre length.
     ``lines_whole`` of ``lines`` streamlines reached both ends; ``along_edges_share`` of their length runs along edges.
+    ``fibres`` says where they come from; ``data_share`` is the share of the volume where data tell the direction, None
+    where there are none.
     """
 
     name: str
@@ -105,6 +107,8 @@ class MuscleArchitecture:
     residual: float
     singular_share: float
     left_out_share: float
+    fibres: str
+    data_share: float | None
     note: str
 
 
@@ -210,7 +214,7 @@ class Lines:
         starts = np.setdiff1d(np.arange(len(points)), last)
         line = np.repeat(np.arange(len(counts)), counts - 1)
         position = belly.position(0.5 * (points[starts] + points[starts + 1]))
-        inside = (position >= belly.low) & (position <= belly.high)
+        inside = (position >= belly.low) & (position <= belly.high) | lines.are_fibres
         return cls(points, starts, line, position, inside)
 
     def measure(self, points: Points, tangents: Points, *, count: int) -> tuple[Float, Float, Float]:
@@ -234,8 +238,14 @@ def measure_at_rest(
     belly: Belly,
     pieces: int,
     missed_mm: float,
+    source: str = "",
+    data_share: float | None = None,
 ) -> MuscleArchitecture:
-    """The numbers of one muscle at rest; fibres that never run in the belly count for the paths alone."""
+    """The numbers of one muscle at rest; fibres that never run in the belly count for the paths alone.
+
+    ``source`` says where known fibres come from; empty: from the flow. ``data_share`` is the share of the volume where
+    a direction is known.
+    """
     lines = Lines.of(found, belly)
     paths, fibres, angles = lines.measure(
         lines.points, belly.directions(surface.vertices, lines.position), count=len(found.points)
@@ -272,6 +282,8 @@ def measure_at_rest(
         residual=field.residual,
         singular_share=field.singular_share,
         left_out_share=field.left_out_share,
+        fibres=source or ("flow driven by an even flux" if field.even_flux else "flow"),
+        data_share=data_share,
         note="; ".join(reasons),
     )
 

@@ -51,11 +51,19 @@ class Streamlines:
         Whether the line reached both ends.
     along_edges : (s,) float64
         The share of the line's length that runs along edges.
+    are_fibres : bool
+        Whether all of each line is muscle fibre; otherwise only its part in the belly is (`measures`).
     """
 
     points: tuple[Points, ...]
     complete: Bool
     along_edges: Float
+    are_fibres: bool = False
+
+    @classmethod
+    def none(cls) -> Streamlines:
+        """No line."""
+        return cls((), np.zeros(0, dtype=bool), np.zeros(0))
 
     def lengths(self) -> Float:
         """(s,) mm."""
@@ -79,7 +87,7 @@ def streamlines(field: FibreField, *, count: int) -> Streamlines:
     covered = np.cumsum(volumes[order])
     seeds = order[np.searchsorted(covered, (np.arange(count) + 0.5) / count * covered[-1])]
     neighbours, ends = _around(field)
-    step = float(np.cbrt(volumes.mean())) / STEPS_PER_EDGE
+    step = step_length_mm(field)
     steady = (
         mesh.vertices,
         mesh.tets,
@@ -97,13 +105,18 @@ def streamlines(field: FibreField, *, count: int) -> Streamlines:
         backward, begun, behind = _traced(*steady, seed, -1.0, step, MOST_STEPS)
         line = np.concatenate([backward[:0:-1], forward])
         length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-        lines.append(_thinned(line))
+        lines.append(evenly_thinned(line))
         complete.append(arrived == 2 and begun == 1)
         along.append((ahead + behind) / length if length > 0.0 else 0.0)
     return Streamlines(tuple(lines), np.array(complete, dtype=bool), np.array(along))
 
 
-def _thinned(line: Points) -> Points:
+def step_length_mm(field: FibreField) -> float:
+    """The steps of lines, mm."""
+    return float(np.cbrt(signed_volumes(field.mesh.vertices, field.mesh.tets).mean())) / STEPS_PER_EDGE
+
+
+def evenly_thinned(line: Points) -> Points:
     """A line by at most `MOST_POINTS` points, its ends among them."""
     if len(line) <= MOST_POINTS:
         return line

@@ -16,17 +16,29 @@ from musclefit.caches import default_cache_folder
 from musclefit.errors import InputError, MeshError
 from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Points
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.attachments import read_attachments
 from musclefit.io.formats.fibre_directions import FIBRES, HeldArea, MuscleFibres, fibre_bytes
 from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.vtk_lines import vtk_lines
+from musclefit.io.given_fibres import FibreFiles, read_given_fibres
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import Maker, claimed, write_surfaces
 from musclefit.meshing.cache import TetCache, default_limit_mb
 from musclefit.meshing.muscle_tets import muscle_tets
 from musclefit.muscles.attachments import MuscleEnds, find_ends, usual_distance_mm
 from musclefit.muscles.fibres import FibreField, laplace_fibres
+from musclefit.muscles.given_fibres import (
+    FibreUse,
+    KnownFibres,
+    NearbyDirections,
+    by_muscle,
+    followed_lines,
+    known_field,
+    known_lines,
+    usual_reach_mm,
+)
 from musclefit.muscles.measures import (
     Belly,
     CarriedDirections,
@@ -38,7 +50,7 @@ from musclefit.muscles.measures import (
 )
 from musclefit.muscles.moment_arms import MomentArm, moment_arms
 from musclefit.muscles.motion_curves import MotionState, MovingMuscle, motion_curves
-from musclefit.muscles.streamlines import Streamlines, streamlines
+from musclefit.muscles.streamlines import Streamlines, step_length_mm, streamlines
 from musclefit.pipeline.poses import bones_of, refuse_collision
 from musclefit.pipeline.refining import deform_finely
 from musclefit.progress import Progress
@@ -74,6 +86,14 @@ class FibredMuscle:
     belly : Belly
     carried_points : (p, 3) float64 or None
         Where the map takes the points of all lines, mm; None where nothing was deformed.
+    pieces : int
+        Of the tetrahedra.
+    missed_mm : float
+        How far a place of the surface is from them, at most.
+    source : str
+        The files that the fibres are from; empty where they are from the flow.
+    data_share : float or None
+        In what share of the volume those tell a direction.
     carried : CarriedDirections or None
         The directions of the field after the map, in the middles of the tetrahedra that have one.
     """
@@ -82,6 +102,10 @@ class FibredMuscle:
     field: FibreField
     lines: Streamlines
     belly: Belly
+    pieces: int
+    missed_mm: float
+    source: str = ""
+    data_share: float | None = None
     carried_points: Points | None = None
     carried: CarriedDirections | None = None
 
@@ -109,6 +133,10 @@ class Architecture(Shown):
         What is known of the map.
     curves : tuple of MotionState
         Each muscle after each stretch of the way; empty where they were not asked for.
+    fibre_files : tuple of FibreUse
+        What became of each file of fibres.
+    notes : tuple of str
+        What had to be taken for granted of them.
     folder : Path or None
         Where it was written.
     """
@@ -123,6 +151,8 @@ class Architecture(Shown):
     left_out: Mapping[str, str]
     claim: str
     curves: tuple[MotionState, ...] = ()
+    fibre_files: tuple[FibreUse, ...] = ()
+    notes: tuple[str, ...] = ()
     folder: Path | None = None
 
     @property
@@ -145,6 +175,7 @@ class Architecture(Shown):
             "attachments": _attachment_rows(self.ends),
             "moment_arms": self.moment_arms,
             "curves": _curve_rows(self.curves),
+            "fibre_files": self.fibre_files,
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -158,6 +189,7 @@ class Architecture(Shown):
             "within_mm": self.within_mm,
             "without_two_attachments": list(self.without_two_attachments),
             "without_fibres": dict(self.left_out),
+            "notes": list(self.notes),
             **rows,
         }
 
@@ -169,6 +201,7 @@ def architecture(
     overrides: Sequence[str] = (),
     attachments: str | Path | None = None,
     within_mm: float | None = None,
+    fibres: str | Path | FibreFiles | None = None,
     muscles: Sequence[str] = (),
     deform: bool = True,
     curves: bool = False,
@@ -188,6 +221,8 @@ def architecture(
         CSV of ends that are known (`io.formats.attachments`); all others are found by distance.
     within_mm : float, optional
         How close a muscle is to the bone it holds on to; chosen from clearances and thicknesses without it.
+    fibres : path or FibreFiles, optional
+        Streamlines or directions that are known (`io.given_fibres`), in place of the flow in muscles that they lie in.
     muscles : sequence of str
         Names or shell-style patterns of the muscles to look at; all without any.
     deform : bool
@@ -218,14 +253,11 @@ def architecture(
                 within = usual_distance_mm(job.anatomy) if within_mm is None else within_mm
                 ends = find_ends(job.anatomy, within_mm=within, stated=stated, travel=_travel(job, motions))
                 ends = tuple(one for one in ends if one.muscle in wanted)
+            known, uses, notes = _known(job, fibres)
             deformation = _map_of(rig, job, progress=stages) if deform else None
-            fibred, left_out, whole = _fibres(job, ends, progress=stages)
-            at_rest = tuple(
-                measure_at_rest(
-                    job.anatomy[name].surface, one.ends, one.field, one.lines, belly=one.belly, pieces=p, missed_mm=m
-                )
-                for (name, one), (p, m) in zip(fibred.items(), whole, strict=True)
-            )
+            reach = fibres.reach_mm if isinstance(fibres, FibreFiles) else None
+            fibred, left_out = _fibres(job, ends, known, reach_mm=reach, progress=stages)
+            at_rest = tuple(_measured(job, one) for one in fibred.values())
             carried = () if deformation is None else _carry(job, fibred, deformation, motions, progress=stages)
             states: tuple[MotionState, ...] = ()
             if curves and deformation is not None:
@@ -245,6 +277,8 @@ def architecture(
             left_out=left_out,
             claim=_claim(rig, deformed=deformation is not None),
             curves=states,
+            fibre_files=uses,
+            notes=notes,
             folder=folder,
         )
         if folder is not None:
@@ -302,14 +336,43 @@ def _curve_rows(curves: Sequence[MotionState]) -> list[dict[str, Any]]:
     return rows
 
 
+def _known(
+    job: Job, given: str | Path | FibreFiles | None
+) -> tuple[dict[str, KnownFibres], tuple[FibreUse, ...], tuple[str, ...]]:
+    """What files tell of each muscle's fibres, what became of each, and what was taken for granted."""
+    if given is None:
+        return {}, (), ()
+    files = given if isinstance(given, FibreFiles) else FibreFiles(given)
+    surfaces = {muscle.name: muscle.surface for muscle in job.anatomy.of_kind(TissueKind.MUSCLE)}
+    samples, notes = read_given_fibres(files, anatomy_frame=job.anatomy.frame, muscles=surfaces)
+    known, uses = by_muscle(samples, surfaces)
+    if all(use.nothing_fits for use in uses):
+        low, high = _box(np.concatenate([one.all_places for one in samples]))
+        below, above = _box(np.concatenate([surface.vertices for surface in surfaces.values()]))
+        raise InputError(
+            f"{files.path}: none of its fibres is in a muscle: they lie between {low} and {high} mm, the muscles "
+            f"between {below} and {above} mm; state their units or frame, or move them to the anatomy"
+        )
+    return known, uses, notes
+
+
+def _box(places: Points) -> tuple[str, str]:
+    low, high = (" ".join(f"{x:.4g}" for x in side) for side in (places.min(axis=0), places.max(axis=0)))
+    return low, high
+
+
 def _fibres(
-    job: Job, ends: Sequence[MuscleEnds], *, progress: Progress
-) -> tuple[dict[str, FibredMuscle], dict[str, str], list[tuple[int, float]]]:
-    """The muscles with fibres, those without and why, and of the former the pieces and what is missing of them."""
+    job: Job,
+    ends: Sequence[MuscleEnds],
+    known: Mapping[str, KnownFibres],
+    *,
+    reach_mm: float | None,
+    progress: Progress,
+) -> tuple[dict[str, FibredMuscle], dict[str, str]]:
+    """The muscles with fibres, and those without and why."""
     cache = TetCache(default_cache_folder(), limit_mb=default_limit_mb())
     fibred: dict[str, FibredMuscle] = {}
     left_out: dict[str, str] = {}
-    whole: list[tuple[int, float]] = []
     with progress.stage("fibres") as tick:
         for done, one in enumerate(ends, start=1):
             muscle: Tissue = job.anatomy[one.muscle]
@@ -321,13 +384,48 @@ def _fibres(
                     insertion=one.insertion.surface,
                     within_mm=ENVELOPES * tets.envelope_mm,
                 )
-                lines = streamlines(field, count=LINES)
-                fibred[one.muscle] = FibredMuscle(one, field, lines, belly_of(muscle.surface))
-                whole.append((tets.pieces, tets.missed_mm))
+                made = FibredMuscle(
+                    one, field, Streamlines.none(), belly_of(muscle.surface), tets.pieces, tets.missed_mm
+                )
+                if one.muscle in known:
+                    fibred[one.muscle] = _of_data(made, muscle.surface, known[one.muscle], reach_mm=reach_mm)
+                else:
+                    fibred[one.muscle] = replace(made, lines=streamlines(field, count=LINES))
             except MeshError as error:
                 left_out[one.muscle] = str(error)
             tick(done / len(ends))
-    return fibred, left_out, whole
+    return fibred, left_out
+
+
+def _of_data(made: FibredMuscle, surface: TriMesh, known: KnownFibres, *, reach_mm: float | None) -> FibredMuscle:
+    """The same with known fibres: their directions, and known streamlines, or else lines along the directions."""
+    near = NearbyDirections.of(known, reach_mm=usual_reach_mm(surface) if reach_mm is None else reach_mm)
+    field, share = known_field(made.field, near)
+    if not share:
+        raise MeshError("its known fibres reach the middle of none of its tetrahedra; state a larger reach")
+    lines = (
+        known_lines(made.field, known.lines)
+        if known.lines
+        else followed_lines(field, near, surface, count=LINES, step_mm=step_length_mm(field))
+    )
+    if not lines.points:
+        raise MeshError("no line runs along its known fibres; state a larger reach")
+    what = "streamlines" if known.lines else "directions"
+    return replace(made, field=field, lines=lines, source=f"{what} of {', '.join(known.sources)}", data_share=share)
+
+
+def _measured(job: Job, one: FibredMuscle) -> MuscleArchitecture:
+    return measure_at_rest(
+        job.anatomy[one.ends.muscle].surface,
+        one.ends,
+        one.field,
+        one.lines,
+        belly=one.belly,
+        pieces=one.pieces,
+        missed_mm=one.missed_mm,
+        source=one.source,
+        data_share=one.data_share,
+    )
 
 
 def _wanted(job: Job, patterns: Sequence[str]) -> frozenset[str]:
@@ -394,6 +492,8 @@ def _write(found: Architecture, folder: Path) -> None:
         "carried": [field.name for field in fields(CarriedMuscle)],
         "moment_arms": [field.name for field in fields(MomentArm)],
     }
+    if report["fibre_files"]:
+        headings["fibre_files"] = list(report["fibre_files"][0])
     if report["curves"]:
         headings["curves"] = list(report["curves"][0])
     files = {

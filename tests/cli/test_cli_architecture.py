@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyvista as pv
+from scipy.spatial import cKDTree
 from tiny_rigs import drive_by_joints, write_tiny_rig
 
 from musclefit.cli import main
+from musclefit.io.formats.vtk_lines import vtk_lines
 
 
 @pytest.fixture
@@ -110,5 +112,65 @@ def test_bad_input_is_refused_and_nothing_written(
     options: tuple[str, ...], said: str, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["architecture", str(rig), "--out", str(tmp_path / "out"), *options]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_streamlines_that_are_known_take_the_place_of_the_flow(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The flow's own streamlines given back: the same paths, every one of them a fibre as a whole."""
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "flow"), "--quiet"]) == 0
+    (flow,) = rows(tmp_path / "flow" / "muscles.csv")
+    given = ("--fibres", str(tmp_path / "flow" / "fibres.vtk"))
+    assert main(["architecture", str(rig), "--out", str(tmp_path / "data"), *given]) == 0
+    said = capsys.readouterr().out
+    assert "of 200 streamlines are in muscles" in said
+    (data,) = rows(tmp_path / "data" / "muscles.csv")
+    assert (flow["fibres"], flow["data_share"]) == ("flow", "")
+    assert data["fibres"] == "streamlines of fibres.vtk"
+    assert float(data["path_mm"]) == pytest.approx(float(flow["path_mm"]), rel=0.03)
+    assert data["fibre_mm"] == data["path_mm"]
+    assert float(data["data_share"]) > 0.9
+    (carried,) = rows(tmp_path / "data" / "carried.csv")
+    assert 0.5 < float(carried["stretch_mean"]) < 1.5
+    (use,) = rows(tmp_path / "data" / "fibre_files.csv")
+    assert (use["file"], use["lines"], use["directions"]) == ("fibres.vtk", "200", "0")
+    assert int(use["lines_in_muscles"]) == int(data["lines"]) >= 195
+
+
+def test_directions_that_are_known_take_the_place_of_the_flow(rig: Path, tmp_path: Path) -> None:
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "flow"), "--quiet"]) == 0
+    with np.load(tmp_path / "flow" / "fibres.npz") as stored:
+        grid = pv.PolyData(stored["places_mm"] / 10.0)
+        grid.point_data["fibres"] = -stored["directions"]
+        places, directions = stored["places_mm"], stored["directions"]
+    grid.save(tmp_path / "known.vtp")
+    given = ("--fibres", str(tmp_path / "known.vtp"), "--fibre-units", "cm")
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "data"), "--quiet", *given]) == 0
+    (data,) = rows(tmp_path / "data" / "muscles.csv")
+    assert (data["fibres"], float(data["data_share"])) == ("directions of known.vtp", 1.0)
+    with np.load(tmp_path / "data" / "fibres.npz") as stored:
+        apart, same = cKDTree(stored["places_mm"]).query(places)
+        cosines = np.einsum("ki,ki->k", stored["directions"][same], directions)
+    assert apart.max() < 1e-9
+    turned = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    assert np.median(turned) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--fibre-units", "cm"), "--fibre-units: found no --fibres"),
+        (("--fibres", "none.tck"), "none.tck: cannot be read"),
+        (("--fibres", "LINES", "--fibre-units", "m"), "none of its fibres is in a muscle: they lie between"),
+    ],
+)
+def test_fibres_that_cannot_be_used_are_refused(
+    options: tuple[str, ...], said: str, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "lines.vtk").write_bytes(vtk_lines([np.eye(3)], title="lines", line_data={}))
+    given = [str(tmp_path / "lines.vtk") if option == "LINES" else option for option in options]
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "out"), *given]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -165,6 +165,22 @@ class VtkFile:
         values = self._data_of("CellData", name, count=count, components=1)
         return None if values is None else values[:, 0]
 
+    def vectors(self, section: str, *, count: str) -> dict[str, Array]:
+        """The (rows, 3) arrays of real numbers at points or cells (PointData, CellData) that every piece has, by name.
+
+        ``count`` states how many rows there are.
+        """
+        pieces = [{e.attributes.get("Name", ""): e for e in p.arrays.get(section, [])} for p in self._pieces]
+        found: dict[str, Array] = {}
+        for name, element in (pieces[0] if pieces else {}).items():
+            if (
+                element.attributes.get("NumberOfComponents") == "3"
+                and element.attributes.get("type", "")[:5] == "Float"
+            ):
+                values = self._data_of(section, name, count=count, components=3)
+                found |= {} if values is None else {name: values}
+        return found
+
     def field_numbers(self) -> dict[str, Array]:
         """The arrays of numbers that belong to the file as a whole, by name."""
         named = {e.attributes.get("Name", ""): e for e in self._fields if e.attributes.get("type") in _DTYPES}

@@ -212,7 +212,8 @@ def _checked(path: Path, content: _Content, units: Unit) -> _Content:
     """The same in mm, without what has no direction: lines of one place, vectors of length 0."""
     lines = tuple(in_mm(line, units, source=str(path)) for line in content.lines)
     places = in_mm(content.places, units, source=str(path))
-    lengths: Float = np.linalg.norm(content.vectors, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+        lengths: Float = np.linalg.norm(content.vectors, axis=1)
     if not all(np.isfinite(part).all() for part in (*lines, places, content.vectors, lengths)):
         raise InputError(f"{path}: has points or vectors that are not finite; export it again")
     long = tuple(line for line in lines if len(line) > 1 and np.ptp(line, axis=0).any())

@@ -290,7 +290,8 @@ class VtkFile:
     def _of_words(self, words: list[str], dtype: np.dtype[Any], name: str) -> Array:
         try:
             exact = int if dtype.kind in "iu" else float
-            return np.array([exact(word) for word in words], dtype=dtype.newbyteorder("="))
+            with np.errstate(over="ignore"):  # what is beyond the type becomes infinite, and is refused as such
+                return np.array([exact(word) for word in words], dtype=dtype.newbyteorder("="))
         except (ValueError, OverflowError) as error:
             raise self.damaged(f"{name} hold a value that is no {dtype.name} ({str(error)[:60]})") from None
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, TypeAlias
 
 from musclefit.errors import RigError
 from musclefit.rig.table_reader import suggestion
+
+RigGiven: TypeAlias = str | Path | Mapping[str, Any]
+"""A rig: the name of a built-in one, the path of a file, or what a file would hold."""
 
 
 def builtin_rigs() -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from musclefit.io.anatomy import read_anatomy
 from musclefit.io.formats.points import in_anatomy_frame, outside_findings, points_frame, read_points
 from musclefit.io.formats.tables import parse_toml
 from musclefit.io.named_files import NamedFiles
-from musclefit.io.rig_names import builtin_rig_path, builtin_rigs, find_rig
+from musclefit.io.rig_names import RigGiven, builtin_rig_path, builtin_rigs, find_rig
 from musclefit.progress import Progress, Silent
 from musclefit.rig.drive import Driver
 from musclefit.rig.job import (
@@ -42,28 +42,29 @@ _SILENT = Silent()
 
 
 def read_rig(
-    path: str | Path | Mapping[str, Any],
+    rig: RigGiven,
     *,
     overrides: Sequence[str] = (),
     points: Sequence[Path] = (),
     progress: Progress = _SILENT,
 ) -> Job:
-    """Read a rig file and every file it names.
+    """Read a rig and every file it names.
 
     Cheap things are read and checked first: the rig, the joints and the pose, the landmarks; then the anatomy.
 
     Parameters
     ----------
-    path : path of a TOML file, or mapping
-        See `find_rig` for rigs by name; or what such a file would hold, with paths that start at the current folder.
-        Relative paths in a file start at its folder, those of ``overrides`` too; ``${MUSCLEFIT_DATA}`` stands for that
-        environment variable, or where it is not set for ``../../shared/data`` from the rig's folder.
+    rig : name of a built-in rig, path of a TOML file, or mapping
+        See `find_rig` for names and paths. A mapping holds what such a file would hold, with paths that start at the
+        current folder. Relative paths in a file start at its folder, those of ``overrides`` too; ``${MUSCLEFIT_DATA}``
+        stands for that environment variable or, where it is not set, for ``../../shared/data`` from the rig's folder.
     overrides : sequence of str
         ``key=value`` each; see `musclefit.rig.rig_table.apply_overrides`.
     points : sequence of path
-        Further files of points to take along, beside those of the rig; they start at the current folder.
+        Files of attached points to deform too, in addition to the rig's own; relative paths start at the current
+        folder.
     progress : Progress
-        Told of reading the anatomy.
+        Receives the progress of reading the anatomy.
 
     Returns
     -------
@@ -73,24 +74,24 @@ def read_rig(
     Raises
     ------
     RigError
-        The file is missing or broken, says something that `parse_rig` or `parse_joints` refuse, or names a file that
-        is not there; the message starts with the file and the key.
+        No built-in rig has the name; or the file is missing or broken, says something that `parse_rig` or
+        `parse_joints` refuse, or names a file that is not there: the message starts with the file and the key.
     LandmarkError, MeshError
         Landmarks, cages or surfaces that cannot be used.
     """
-    rig_path = Path("rig") if isinstance(path, Mapping) else Path(path)
+    rig_path = Path("rig") if isinstance(rig, Mapping) else find_rig(rig)
     files = NamedFiles(rig_path)
-    if isinstance(path, Mapping):
-        table = _plain_table(path)
+    if isinstance(rig, Mapping):
+        table = _plain_table(rig)
         files.keep(rig_path, sha256(json.dumps(table, sort_keys=True).encode()).hexdigest())
     else:
         table = parse_toml(files.read(rig_path, key=""), source=str(rig_path))
     if overrides:
         table = apply_overrides(table, overrides, source=str(rig_path))
-    rig = _resolved(parse_rig(table, source=str(rig_path)), files)
-    further = _read_further(rig, points, files)
-    driver = rig.drive.read(files, path=rig.deformer.path, rigid_bones=rig.bones.rigid)
-    anatomy, findings = _read_anatomy(rig, files, progress=progress)
+    parsed = _resolved(parse_rig(table, source=str(rig_path)), files)
+    further = _read_further(parsed, points, files)
+    driver = parsed.drive.read(files, path=parsed.deformer.path, rigid_bones=parsed.bones.rigid)
+    anatomy, findings = _read_anatomy(parsed, files, progress=progress)
     driver = driver.on_anatomy(anatomy, files)
     findings += driver.bone_findings(anatomy, files)
     findings += (*driver.findings, *_frame_findings(anatomy, driver, files))
@@ -98,12 +99,12 @@ def read_rig(
     parts = driver.parts()
     try:
         handles, handle_path = driver.handles_on_path(anatomy)
-        check_handles(handles, handle_path, anatomy=anatomy, stops=rig.drive.moments)
+        check_handles(handles, handle_path, anatomy=anatomy, stops=parsed.drive.moments)
     except LandmarkError as error:
         raise files.named("drive", error) from None
     findings += off_bone_findings(handles, anatomy, subject=rig_path.name)
     return Job(
-        rig=rig,
+        rig=parsed,
         anatomy=anatomy,
         findings=findings,
         handles=handles,
@@ -116,9 +117,9 @@ def read_rig(
         lattice=parts.lattice,
         overrides=tuple(overrides),
         further=further,
-        stops=rig.drive.moments,
+        stops=parsed.drive.moments,
         transforms=parts.transforms,
-        pose=getattr(rig.drive, "pose", ()),
+        pose=getattr(parsed.drive, "pose", ()),
     )
 
 

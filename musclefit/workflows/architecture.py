@@ -23,6 +23,7 @@ from musclefit.io.formats.fibre_directions import FIBRES, HeldArea, MuscleFibres
 from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.given_fibres import FibreFiles, read_given_fibres
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import Maker, claimed, write_surfaces
 from musclefit.meshing.cache import TetCache, default_limit_mb
@@ -58,7 +59,6 @@ from musclefit.rig.job import Job
 from musclefit.rig.joints import JointMotions
 from musclefit.rig.paths import KeyframeMotions
 from musclefit.rig.table_reader import suggestion
-from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 from musclefit.workflows.run import Run
@@ -246,7 +246,7 @@ def architecture(
             raise InputError("curves need a motion; found that nothing is to be deformed: leave out one of the two")
         stated = () if attachments is None else read_attachments(attachments)
         with watched(progress) as stages:
-            job = rig.job if isinstance(rig, Run) else read_rig(rig_given(rig), overrides=overrides, progress=stages)
+            job = rig.job if isinstance(rig, Run) else read_rig(rig, overrides=overrides, progress=stages)
             motions = {} if job.motions is None else dict(job.motions.at(1.0))
             with stages.stage("attachments"):
                 wanted = _wanted(job, muscles)

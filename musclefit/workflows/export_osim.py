@@ -23,6 +23,7 @@ from musclefit.io.formats.rows import csv_of
 from musclefit.io.formats.texts import read_bytes
 from musclefit.io.formats.xml_in_place import Element, replaced
 from musclefit.io.opensim_geometry import PlacedMesh, find_geometry, placed_meshes
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import require_new_folder, write_new_folder
 from musclefit.pipeline.deformers import deform
@@ -31,7 +32,6 @@ from musclefit.rig.job import FAR_DIAGONALS
 from musclefit.rig.multibody import GROUND, BodyJoint
 from musclefit.rig.wrap_fits import FittedWrap, fitted_wrap, wrap_samples
 from musclefit.vocabulary import Unit
-from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.import_osim import read_osim
 from musclefit.workflows.muscles_compared import MusclesCompared, Surfaces, muscles_compared
 from musclefit.workflows.progress import watched
@@ -136,7 +136,7 @@ def export_osim(
         read = read_osim(source)
         poses = None if motion is None else _poses(Path(motion), read, frames)
         files, missing = find_geometry(read, [Path(place) for place in geometry])
-        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        job = read_rig(rig, overrides=overrides, progress=stages)
         _require_near(read, job.anatomy.vertices())
         move = deform(job, job.anatomy.vertices(), progress=stages).deformation.require()
         with stages.stage("carry the model"):

@@ -1,31 +1,16 @@
-"""What users of Python give, made what the rest takes: rigs by name, path or mapping, units and kinds as words."""
+"""What users of Python give, made what the rest takes: units, kinds and paths."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
-from musclefit.io.rig_names import find_rig
-
-RigGiven: TypeAlias = str | Path | Mapping[str, Any]
-"""A rig: the name of a built-in one, the path of a file, or what a file would hold."""
 
 Word = TypeVar("Word", bound=StrEnum)
-
-
-def rig_given(rig: RigGiven) -> Path | Mapping[str, Any]:
-    """The path of a rig that is named, or the mapping itself.
-
-    Raises
-    ------
-    RigError
-        No such file, or no such name.
-    """
-    return rig if isinstance(rig, Mapping) else find_rig(rig)
 
 
 def word(kind: type[Word], value: Word | str, *, what: str) -> Word:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from musclefit.errors import InputError
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.poses import ranges_of
 from musclefit.progress import Progress
 from musclefit.report.schema import joint_ranges_to_json
 from musclefit.validate.joint_ranges import JointRange
-from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
@@ -51,7 +51,7 @@ def joint_range(rig: RigGiven, *, overrides: Sequence[str] = (), progress: Progr
         A rig that cannot be read, or that no joint drives.
     """
     with watched(progress) as stages:
-        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        job = read_rig(rig, overrides=overrides, progress=stages)
         if job.joints is None:
             raise InputError(f'{job.source}: no joint drives this rig; give it a [drive] of kind "joints"')
         with stages.stage("joint ranges"):

@@ -19,6 +19,7 @@ from musclefit.figures.stills import Stills, stills
 from musclefit.flow.bones import moving_together, poses_on_the_way
 from musclefit.flow.deformation import Deformation
 from musclefit.io.provenance import measured
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import DeformedTets, Maker, claimed, write_run
 from musclefit.meshing.cache import CACHE_FINDING, TetCache, TetPlan, default_limit_mb
@@ -32,7 +33,6 @@ from musclefit.rig.off_bones import OFF_BONES
 from musclefit.rig.settings import TetSettings
 from musclefit.workflows.beside import Beside
 from musclefit.workflows.compiling_ahead import compiled_ahead
-from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
 
@@ -183,7 +183,7 @@ def run(
     with claimed(None if out is None else Path(out), by=Maker.RUN):
         overrides = (*overrides, *([] if tets is None else [f"tets.enabled={str(tets).lower()}"]))
         with watched(progress, shares=SHARES) as stages:
-            job = read_rig(rig_given(rig), overrides=overrides, points=[Path(path) for path in points], progress=stages)
+            job = read_rig(rig, overrides=overrides, points=[Path(path) for path in points], progress=stages)
             for finding in job.findings:
                 if finding.code in TOLD_BEFORE:
                     stages.say(finding.message)

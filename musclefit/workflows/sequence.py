@@ -16,6 +16,7 @@ from musclefit.io.folder_locks import held
 from musclefit.io.formats.rows import csv_text
 from musclefit.io.formats.vtk_series import collection
 from musclefit.io.provenance import versions
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.io.sequence_frames import (
     PLAN,
@@ -41,7 +42,7 @@ from musclefit.report.sequence import (
 )
 from musclefit.rig.motion import Interpolation, Pose
 from musclefit.rig.transforms import BoneTransforms
-from musclefit.workflows.given import RigGiven, rig_given, word
+from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Judged
 from musclefit.workflows.sequence_frames import FrameOnDisk, read_frames, read_plan
@@ -128,7 +129,7 @@ def sequence(
 
     by = None if interpolation is None else word(Interpolation, interpolation, what="interpolation")
     with watched(progress) as stages:
-        job = read_rig(rig_given(rig), overrides=with_motion(motion, overrides), progress=stages)
+        job = read_rig(rig, overrides=with_motion(motion, overrides), progress=stages)
         plan = planned(job, motion=motion, frames=frames, interpolation=by)
         report = run_sequence(plan, out, workers=workers, between=between, progress=stages)
         write_outputs(plan, Path(out), report, pictures=pictures, progress=stages)

@@ -16,13 +16,14 @@ from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.io.atomic import write_bytes_atomically
 from musclefit.io.decks import read_deck, require_deck
 from musclefit.io.formats.points import INSIDE
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Progress
 from musclefit.rig.job import FAR_DIAGONALS, Job
 from musclefit.validate.elements import ElementCheck, check_elements
 from musclefit.vocabulary import Unit
-from musclefit.workflows.given import RigGiven, rig_given, word
+from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
@@ -137,7 +138,7 @@ def warp_deck(
         with stages.stage("read the deck"):
             read = read_deck(deck)
         rest = read.nodes * unit
-        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        job = read_rig(rig, overrides=overrides, progress=stages)
         _require_near(rest, job, deck=deck)
         deformation = deform(job, job.anatomy.vertices(), progress=stages).deformation.require()
         # Nodes at one place go to one place, digit for digit: each place is moved once.

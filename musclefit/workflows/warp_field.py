@@ -15,6 +15,7 @@ from musclefit.io.formats.grid_transforms import (
     write_grid_transform,
 )
 from musclefit.io.formats.nifti import read_volume
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.pipeline.displacement_grids import (
@@ -27,7 +28,6 @@ from musclefit.pipeline.displacement_grids import (
 )
 from musclefit.progress import Progress
 from musclefit.workflows.frames import frame_of
-from musclefit.workflows.given import RigGiven, rig_given
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 
@@ -125,7 +125,7 @@ def warp_field(
         raise InputError("--margin-mm has no effect with --like, whose grid is taken as it is; remove one of them")
     with watched(progress) as stages:
         grid = None if like is None else _grid_of(Path(like))
-        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        job = read_rig(rig, overrides=overrides, progress=stages)
         into = frame_of(job.anatomy.frame, frame)
         vertices = job.anatomy.vertices()
         if spacing_mm is not None:  # what is wrong with it is told before the march

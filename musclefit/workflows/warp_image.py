@@ -10,13 +10,14 @@ import numpy as np
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame, Interpolation
 from musclefit.io.formats.nifti import check_images_writable, read_volume, write_displacements, write_volume
+from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.pipeline.deformers import deform
 from musclefit.pipeline.images import WarpedImage, jacobian_map
 from musclefit.pipeline.images import warp_image as warped_image
 from musclefit.progress import Progress
 from musclefit.workflows.frames import frame_of
-from musclefit.workflows.given import RigGiven, rig_given, word
+from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
 
 
@@ -76,7 +77,7 @@ def warp_image(
         volume = read_volume(image)
         _require_interpolation(image, whole=volume.holds_labels, interpolation=between)
         onto = volume.grid if like is None else read_volume(Path(like)).grid
-        job = read_rig(rig_given(rig), overrides=overrides, progress=stages)
+        job = read_rig(rig, overrides=overrides, progress=stages)
         frame_of(job.anatomy.frame, into)
         deformation = deform(job, job.anatomy.vertices(), progress=stages).deformation.require()
         vectors = None if displacements is None else np.empty((*onto.shape, 3), dtype=np.float32)

@@ -113,7 +113,9 @@ def test_a_run_takes_points_where_its_map_takes_them(tmp_path: Path, capsys: pyt
     rig = write_tiny_rig(tmp_path)
     (tmp_path / "path.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n9999,0,0\n")
     out = tmp_path / "out"
-    code = main(["run", str(rig), "--out", str(out), "--points", str(tmp_path / "path.csv"), "--no-tets"])
+    code = main(
+        ["run", str(rig), "--out", str(out), "--points", str(tmp_path / "path.csv"), "--no-tets", "--no-pictures"]
+    )
     assert code in (0, 1)
     told = " ".join(capsys.readouterr().err.split())
     assert "path.csv: 1 of 2 points are outside the skin, up to 9.94e+03 mm from it (point 2)" in told

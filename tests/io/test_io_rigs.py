@@ -509,7 +509,7 @@ def test_bad_input_is_refused_by_name(folder: Path, case: str) -> None:
 
 
 def test_a_rig_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match=r"none.toml: .*cannot be read: No such file"):
+    with pytest.raises(RigError, match=r"none.toml: no such rig file; give a path"):
         read_rig(tmp_path / "none.toml")
 
 
@@ -561,6 +561,14 @@ def test_rigs_are_found_by_name_and_by_path(folder: Path, monkeypatch: pytest.Mo
         find_rig("forarm")
     with pytest.raises(RigError, match=r"^here/rig.toml: no such rig file; .*built-in rig: .*forearm, .*upper_limb"):
         find_rig("here/rig.toml")
+
+
+def test_a_built_in_rig_is_read_by_its_name() -> None:
+    named = read_rig("upper_limb")
+    assert (named.name, named.source) == ("upper_limb", str(builtin_rig_path("upper_limb")))
+    assert named.hashes == read_rig(builtin_rig_path("upper_limb")).hashes
+    with pytest.raises(RigError, match=r"^no rig is named 'upper_lim'; did you mean 'upper_limb'"):
+        read_rig("upper_lim")
 
 
 @pytest.mark.parametrize("path", sorted(RIGS.glob("*.toml")), ids=lambda path: path.stem)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -54,6 +55,7 @@ _OUTLINE_BELOW_ELBOW = np.array(
 )
 
 
+@cache  # some seconds of work for records that nobody can change
 def upper_limb() -> Anatomy:
     """A right upper limb from shoulder to wrist: three bones, eight muscles, skin; nothing is read from a file.
 

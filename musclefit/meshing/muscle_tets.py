@@ -13,7 +13,7 @@ import numpy as np
 from musclefit.anatomy.mesh_rules import LayerRules, diagonal_mm
 from musclefit.anatomy.model import Anatomy, Tissue
 from musclefit.geometry.meshes import TetMesh, TriMesh
-from musclefit.geometry.surfaces.sections import sections_along
+from musclefit.geometry.surfaces.sections import Sections
 from musclefit.meshing.cache import TetCache
 from musclefit.progress import Progress
 
@@ -66,13 +66,15 @@ class MuscleTets:
         return self.pieces <= self.surface_pieces and self.missed_mm <= MISSED_ENVELOPES * self.first_envelope_mm
 
 
-def muscle_tets(muscle: Tissue, cache: TetCache, *, progress: Progress) -> MuscleTets:
+def muscle_tets(muscle: Tissue, cache: TetCache, *, sections: Sections, progress: Progress) -> MuscleTets:
     """Fill one muscle by itself; of several tries the first that is whole, or else the last.
 
     Parameters
     ----------
     muscle : Tissue
     cache : TetCache
+    sections : Sections
+        The muscle's.
     progress : Progress
 
     Raises
@@ -82,7 +84,7 @@ def muscle_tets(muscle: Tissue, cache: TetCache, *, progress: Progress) -> Muscl
     """
     alone = Anatomy((muscle,), "alone")
     diagonal = diagonal_mm(alone)
-    edge, envelope = sizes_mm(muscle.surface, diagonal_mm=diagonal)
+    edge, envelope = sizes_mm(muscle.surface, sections, diagonal_mm=diagonal)
     for further in range(ROUNDS):
         narrower = envelope / 2**further
         found, _ = cache.tetrahedralise(alone, LayerRules(edge / diagonal, narrower / diagonal), progress=progress)
@@ -102,8 +104,8 @@ def muscle_tets(muscle: Tissue, cache: TetCache, *, progress: Progress) -> Muscl
     return made
 
 
-def sizes_mm(surface: TriMesh, *, diagonal_mm: float) -> tuple[float, float]:
+def sizes_mm(surface: TriMesh, sections: Sections, *, diagonal_mm: float) -> tuple[float, float]:
     """Edge length and envelope for a muscle from its cross-sections, mm."""
-    sides = np.sqrt(sections_along(surface).measure(surface.vertices).areas)
+    sides = np.sqrt(sections.measure(surface.vertices).areas)
     edge = min(EDGE_SHARE * float(np.median(sides)), 0.5 * diagonal_mm)
     return edge, min(ENVELOPE_SHARE * float(np.quantile(sides, 0.1)), ENVELOPE_FRACTION * diagonal_mm)

@@ -17,8 +17,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from types import MappingProxyType
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
@@ -27,7 +29,7 @@ from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import DistanceTree, nearest_places
 from musclefit.geometry.surfaces.samples import surface_samples
-from musclefit.geometry.surfaces.sections import position_along, sections_along
+from musclefit.geometry.surfaces.sections import Lengthwise, position_along
 
 LEAST_SHARE = 0.5
 """An attachment is at least this share of the muscle's thin sections (the lowest tenth of them) in area."""
@@ -43,6 +45,11 @@ FREE_SHARE = 0.01
 
 REACHES = 0.05
 """An area reaches as far along the muscle as all of it but this share."""
+
+EVERY = 64
+"""Of so many samples one tells, by its distance from a bone, whether the others can be near enough to be asked."""
+
+_UNMEASURED: Mapping[str, Lengthwise] = MappingProxyType({})
 
 
 class End(StrEnum):
@@ -159,13 +166,40 @@ class _Looked:
     distances: Float  # (bones, faces)
 
 
-def usual_distance_mm(anatomy: Anatomy) -> float:
+class _Sampled:
+    """Samples, and how far each is from the one in `EVERY` that is nearest to it: that bounds its distances."""
+
+    def __init__(self, points: Points) -> None:
+        self.points = points
+        self._coarse = points[::EVERY]
+        apart, owner = cKDTree(self._coarse).query(points)
+        self._apart, self._owner = np.asarray(apart, dtype=np.float64), np.asarray(owner, dtype=np.int64)
+
+    def distances(self, tree: DistanceTree, *, up_to_mm: float) -> Float:
+        """Distances from a surface, where they are not above a bound; infinite elsewhere."""
+        near = np.flatnonzero(tree(self._coarse)[self._owner] - self._apart <= up_to_mm)
+        found = np.full(len(self.points), np.inf)
+        found[near] = tree(self.points[near])
+        found[found > up_to_mm] = np.inf
+        return found
+
+    def smallest(self, tree: DistanceTree, *, up_to_mm: float) -> float:
+        """The smallest distance from a surface, or the bound where that is smaller."""
+        coarse = tree(self._coarse)
+        bound = min(float(coarse.min()), up_to_mm)
+        near = np.flatnonzero(coarse[self._owner] - self._apart < bound)
+        return min(bound, float(tree(self.points[near]).min())) if len(near) else bound
+
+
+def usual_distance_mm(anatomy: Anatomy, *, lengthwise: Mapping[str, Lengthwise] = _UNMEASURED) -> float:
     """How close is close: the median over muscles of their clearance from bone, and a tenth of how thick they are.
 
     Parameters
     ----------
     anatomy : Anatomy
         At rest.
+    lengthwise : mapping of muscle to Lengthwise
+        Of muscles whose sections are known already.
 
     Raises
     ------
@@ -179,7 +213,7 @@ def usual_distance_mm(anatomy: Anatomy) -> float:
             "in [anatomy.kinds]"
         )
     trees = [DistanceTree(bone.surface) for bone in bones]
-    thickness = float(np.median([np.sqrt(np.median(_section_areas(muscle))) for muscle in muscles]))
+    thickness = float(np.median([np.sqrt(np.median(_section_areas(muscle, lengthwise))) for muscle in muscles]))
     spacing = CLEARANCE_SECTIONS * thickness
     clearances = [_clearance(muscle.surface, bones, trees, spacing_mm=spacing) for muscle in muscles]
     return float(np.median(clearances)) + WITHIN_SECTIONS * thickness
@@ -191,6 +225,7 @@ def find_ends(
     within_mm: float,
     stated: Sequence[StatedEnd] = (),
     travel: Mapping[str, float] | None = None,
+    lengthwise: Mapping[str, Lengthwise] = _UNMEASURED,
 ) -> tuple[MuscleEnds, ...]:
     """Both ends of every muscle of an anatomy at rest.
 
@@ -205,6 +240,8 @@ def find_ends(
         How far each bone moves; the origin is the end on the bone that moves less (of a free end the bone nearest to
         it), or else the one nearer to the bones that move least. Where that does not tell either, the larger area is
         the origin.
+    lengthwise : mapping of muscle to Lengthwise
+        Of muscles whose sections are known already.
 
     Raises
     ------
@@ -220,7 +257,15 @@ def find_ends(
         if by_muscle.setdefault(said.muscle, {}).setdefault(said.end, said) is not said:
             raise InputError(f"{said.muscle}: its {said.end.value} is stated twice; remove one")
     return tuple(
-        _ends_of(muscle, bones, trees, within_mm=within_mm, stated=by_muscle.get(name, {}), travel=travel or {})
+        _ends_of(
+            muscle,
+            bones,
+            trees,
+            within_mm=within_mm,
+            stated=by_muscle.get(name, {}),
+            travel=travel or {},
+            lengthwise=lengthwise,
+        )
         for name, muscle in muscles.items()
     )
 
@@ -233,6 +278,7 @@ def _ends_of(
     within_mm: float,
     stated: Mapping[End, StatedEnd],
     travel: Mapping[str, float],
+    lengthwise: Mapping[str, Lengthwise],
 ) -> MuscleEnds:
     surface = surface_samples(muscle.surface, spacing_mm=within_mm).mesh
     middles = surface.corners().mean(axis=1)
@@ -244,7 +290,7 @@ def _ends_of(
         _distances(middles, surface, bones, trees, within_mm=within_mm),
     )
     close = _close_areas(looked, bones, within_mm=within_mm)
-    least = LEAST_SHARE * float(np.quantile(_section_areas(muscle), 0.1))
+    least = LEAST_SHARE * float(np.quantile(_section_areas(muscle, lengthwise), 0.1))
     low, high = _by_rule([area for area in close if area.area >= least])
     found = [
         _attachment(muscle.name, looked, area, bones)
@@ -421,23 +467,22 @@ def _require_known(said: StatedEnd, *, muscles: Mapping[str, Tissue], bones: Seq
 
 def _clearance(surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree], *, spacing_mm: float) -> float:
     """The smallest distance of a surface from any bone at samples, mm; too large by the spacing at most."""
-    places, smallest = surface_samples(surface, spacing_mm=spacing_mm).points, np.inf
+    places, smallest = _Sampled(surface_samples(surface, spacing_mm=spacing_mm).points), np.inf
     for gap, number in sorted((_box_gap(surface, bone.surface), k) for k, bone in enumerate(bones)):
         if gap < smallest:
-            smallest = min(smallest, float(trees[number](places).min()))
+            smallest = places.smallest(trees[number], up_to_mm=smallest)
     return float(smallest)
 
 
 def _distances(
     places: Points, surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree], *, within_mm: float
 ) -> Float:
-    """(bones, places) distances; infinite for bones that are neither near enough nor the nearest."""
+    """(bones, places) distances that count as close; infinite elsewhere."""
     distances = np.full((len(bones), len(places)), np.inf)
-    smallest = np.inf
-    for gap, number in sorted((_box_gap(surface, bone.surface), k) for k, bone in enumerate(bones)):
-        if gap <= max(within_mm, smallest):
-            distances[number] = trees[number](places)
-            smallest = min(smallest, float(distances[number].min()))
+    sampled = _Sampled(places)
+    for number, bone in enumerate(bones):
+        if _box_gap(surface, bone.surface) <= within_mm:
+            distances[number] = sampled.distances(trees[number], up_to_mm=within_mm)
     return distances
 
 
@@ -447,8 +492,9 @@ def _box_gap(a: TriMesh, b: TriMesh) -> float:
     return float(np.linalg.norm(np.maximum(np.maximum(low - above, below - high), 0.0)))
 
 
-def _section_areas(muscle: Tissue) -> Float:
-    return sections_along(muscle.surface).measure(muscle.surface.vertices).areas
+def _section_areas(muscle: Tissue, lengthwise: Mapping[str, Lengthwise]) -> Float:
+    known = lengthwise[muscle.name] if muscle.name in lengthwise else Lengthwise.of(muscle.surface)
+    return known.sections.measure(muscle.surface.vertices).areas
 
 
 def _part(surface: TriMesh, faces: Int) -> TriMesh:

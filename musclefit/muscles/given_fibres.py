@@ -25,7 +25,7 @@ from musclefit.geometry.arrays import Bool, Int, Points
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.winding import winding_numbers
-from musclefit.geometry.surfaces.sections import sections_along
+from musclefit.geometry.surfaces.sections import Sections
 from musclefit.muscles.fibres import FibreField
 from musclefit.muscles.streamlines import Streamlines, evenly_thinned
 
@@ -176,9 +176,9 @@ def by_muscle(
     return known, tuple(uses)
 
 
-def usual_reach_mm(surface: TriMesh) -> float:
+def usual_reach_mm(surface: TriMesh, sections: Sections) -> float:
     """How far from a sample its direction holds in a muscle, mm, where nothing else is said."""
-    areas = sections_along(surface).measure(surface.vertices).areas
+    areas = sections.measure(surface.vertices).areas
     return REACH_SECTIONS * float(np.sqrt(np.median(areas)))
 
 

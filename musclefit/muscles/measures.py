@@ -19,7 +19,7 @@ from musclefit.geometry.measures import area_vectors, enclosed_volume, signed_vo
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.quantiles import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.surfaces.sections import Sections, position_along, sections_along
+from musclefit.geometry.surfaces.sections import Lengthwise, Sections
 from musclefit.muscles.attachments import Attachment, MuscleEnds
 from musclefit.muscles.fibres import FibreField
 from musclefit.muscles.streamlines import Streamlines
@@ -176,9 +176,9 @@ class Belly:
         return unit
 
 
-def belly_of(surface: TriMesh) -> Belly:
+def belly_of(surface: TriMesh, lengthwise: Lengthwise) -> Belly:
     """The belly of a muscle from the areas of its sections, around the largest."""
-    sections = sections_along(surface)
+    sections = lengthwise.sections
     areas = sections.measure(surface.vertices).areas
     thick = areas >= BELLY_SHARE * areas.max()
     first = last = int(areas.argmax())
@@ -189,7 +189,7 @@ def belly_of(surface: TriMesh) -> Belly:
     return Belly(
         sections,
         cKDTree(surface.vertices),
-        position_along(surface),
+        lengthwise.position,
         first / len(areas),
         (last + 1) / len(areas),
     )

@@ -18,6 +18,7 @@ from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.surfaces.sections import Lengthwise
 from musclefit.io.formats.attachments import read_attachments
 from musclefit.io.formats.fibre_directions import FIBRES, HeldArea, MuscleFibres, fibre_bytes
 from musclefit.io.formats.rows import csv_text
@@ -250,13 +251,15 @@ def architecture(
             motions = {} if job.motions is None else dict(job.motions.at(1.0))
             with stages.stage("attachments"):
                 wanted = _wanted(job, muscles)
-                within = usual_distance_mm(job.anatomy) if within_mm is None else within_mm
-                ends = find_ends(job.anatomy, within_mm=within, stated=stated, travel=_travel(job, motions))
+                lengths = {m.name: Lengthwise.of(m.surface) for m in job.anatomy.of_kind(TissueKind.MUSCLE)}
+                within = usual_distance_mm(job.anatomy, lengthwise=lengths) if within_mm is None else within_mm
+                travel = _travel(job, motions)
+                ends = find_ends(job.anatomy, within_mm=within, stated=stated, travel=travel, lengthwise=lengths)
                 ends = tuple(one for one in ends if one.muscle in wanted)
             known, uses, notes = _known(job, fibres)
             deformation = _map_of(rig, job, progress=stages) if deform else None
             reach = fibres.reach_mm if isinstance(fibres, FibreFiles) else None
-            fibred, left_out = _fibres(job, ends, known, reach_mm=reach, progress=stages)
+            fibred, left_out = _fibres(job, ends, known, lengths, reach_mm=reach, progress=stages)
             at_rest = tuple(_measured(job, one) for one in fibred.values())
             carried = () if deformation is None else _carry(job, fibred, deformation, motions, progress=stages)
             states: tuple[MotionState, ...] = ()
@@ -365,6 +368,7 @@ def _fibres(
     job: Job,
     ends: Sequence[MuscleEnds],
     known: Mapping[str, KnownFibres],
+    lengthwise: Mapping[str, Lengthwise],
     *,
     reach_mm: float | None,
     progress: Progress,
@@ -376,8 +380,9 @@ def _fibres(
     with progress.stage("fibres") as tick:
         for done, one in enumerate(ends, start=1):
             muscle: Tissue = job.anatomy[one.muscle]
+            along = lengthwise[one.muscle]
             try:
-                tets = muscle_tets(muscle, cache, progress=progress)
+                tets = muscle_tets(muscle, cache, sections=along.sections, progress=progress)
                 field = laplace_fibres(
                     tets.mesh,
                     origin=one.origin.surface,
@@ -385,7 +390,7 @@ def _fibres(
                     within_mm=ENVELOPES * tets.envelope_mm,
                 )
                 made = FibredMuscle(
-                    one, field, Streamlines.none(), belly_of(muscle.surface), tets.pieces, tets.missed_mm
+                    one, field, Streamlines.none(), belly_of(muscle.surface, along), tets.pieces, tets.missed_mm
                 )
                 if one.muscle in known:
                     fibred[one.muscle] = _of_data(made, muscle.surface, known[one.muscle], reach_mm=reach_mm)
@@ -399,7 +404,9 @@ def _fibres(
 
 def _of_data(made: FibredMuscle, surface: TriMesh, known: KnownFibres, *, reach_mm: float | None) -> FibredMuscle:
     """The same with known fibres: their directions, and known streamlines, or else lines along the directions."""
-    near = NearbyDirections.of(known, reach_mm=usual_reach_mm(surface) if reach_mm is None else reach_mm)
+    near = NearbyDirections.of(
+        known, reach_mm=usual_reach_mm(surface, made.belly.sections) if reach_mm is None else reach_mm
+    )
     field, share = known_field(made.field, near)
     if not share:
         raise MeshError("its known fibres reach the middle of none of its tetrahedra; state a larger reach")

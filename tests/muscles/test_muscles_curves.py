@@ -8,6 +8,7 @@ from tet_blocks import two_tissues
 
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TetMesh, TriMesh
+from musclefit.geometry.surfaces.sections import Lengthwise
 from musclefit.geometry.tets.topology import tet_faces
 from musclefit.muscles.attachments import Attachment, MuscleEnds
 from musclefit.muscles.fibres import laplace_fibres
@@ -61,7 +62,7 @@ def curves(angles_deg: list[float], *, other: list[float] | None = None):
     field = laplace_fibres(mesh, origin=ends.origin.surface, insertion=ends.insertion.surface, within_mm=1e-6)
     corners, faces = np.unique(tet_faces(mesh.tets).boundary, return_inverse=True)
     surface = TriMesh(mesh.vertices[corners], faces.reshape(-1, 3))
-    muscle = MovingMuscle(ends, surface, streamlines(field, count=100), belly_of(surface))
+    muscle = MovingMuscle(ends, surface, streamlines(field, count=100), belly_of(surface, Lengthwise.of(surface)))
     seen: list[Points] = []
     shares = np.linspace(0.0, 1.0, len(angles_deg) + 1)
     stretches = [

@@ -103,6 +103,27 @@ class SectionMeasures:
         return float(self.areas.max())
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Lengthwise:
+    """A surface along its length, at rest.
+
+    Parameters
+    ----------
+    sections : Sections
+    position : (n,) float64
+        For each vertex the share of the surface's area that lies before it, 0 to 1.
+    """
+
+    sections: Sections
+    position: Float
+
+    @classmethod
+    def of(cls, surface: TriMesh) -> Lengthwise:
+        """`sections_along` and `position_along`, for which the one eigenfunction is found once."""
+        along = _along(surface)
+        return cls(_sections(surface, along, count=SECTIONS), _position(surface, along))
+
+
 def sections_along(surface: TriMesh, *, count: int = SECTIONS) -> Sections:
     """Cut a closed surface along its length.
 
@@ -124,7 +145,10 @@ def sections_along(surface: TriMesh, *, count: int = SECTIONS) -> Sections:
     ----------
     B. Lévy, Laplace-Beltrami eigenfunctions: towards an algorithm that understands geometry, SMI 2006.
     """
-    along = _along(surface)
+    return _sections(surface, _along(surface), count=count)
+
+
+def _sections(surface: TriMesh, along: Float, *, count: int) -> Sections:
     order = np.argsort(along)
     area = np.zeros(len(along))
     np.add.at(area, surface.faces, (_face_areas(surface) / 3.0)[:, None])
@@ -164,7 +188,10 @@ def position_along(surface: TriMesh) -> Float:
     MeshError
         A surface without area.
     """
-    along = _along(surface)
+    return _position(surface, _along(surface))
+
+
+def _position(surface: TriMesh, along: Float) -> Float:
     area = np.zeros(len(along))
     np.add.at(area, surface.faces, (_face_areas(surface) / 3.0)[:, None])
     order = np.argsort(along)

@@ -20,14 +20,13 @@ from enum import StrEnum
 from types import MappingProxyType
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.queries.distances import DistanceTree, nearest_places
+from musclefit.geometry.queries.distances import DistanceTree, SampledDistances, nearest_places
 from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.geometry.surfaces.sections import Lengthwise, position_along
 
@@ -45,9 +44,6 @@ FREE_SHARE = 0.01
 
 REACHES = 0.05
 """An area reaches as far along the muscle as all of it but this share."""
-
-EVERY = 64
-"""Of so many samples one tells, by its distance from a bone, whether the others can be near enough to be asked."""
 
 _UNMEASURED: Mapping[str, Lengthwise] = MappingProxyType({})
 
@@ -164,31 +160,6 @@ class _Looked:
     areas: Float
     along: Float
     distances: Float  # (bones, faces)
-
-
-class _Sampled:
-    """Samples, and how far each is from the one in `EVERY` that is nearest to it: that bounds its distances."""
-
-    def __init__(self, points: Points) -> None:
-        self.points = points
-        self._coarse = points[::EVERY]
-        apart, owner = cKDTree(self._coarse).query(points)
-        self._apart, self._owner = np.asarray(apart, dtype=np.float64), np.asarray(owner, dtype=np.int64)
-
-    def distances(self, tree: DistanceTree, *, up_to_mm: float) -> Float:
-        """Distances from a surface, where they are not above a bound; infinite elsewhere."""
-        near = np.flatnonzero(tree(self._coarse)[self._owner] - self._apart <= up_to_mm)
-        found = np.full(len(self.points), np.inf)
-        found[near] = tree(self.points[near])
-        found[found > up_to_mm] = np.inf
-        return found
-
-    def smallest(self, tree: DistanceTree, *, up_to_mm: float) -> float:
-        """The smallest distance from a surface, or the bound where that is smaller."""
-        coarse = tree(self._coarse)
-        bound = min(float(coarse.min()), up_to_mm)
-        near = np.flatnonzero(coarse[self._owner] - self._apart < bound)
-        return min(bound, float(tree(self.points[near]).min())) if len(near) else bound
 
 
 def usual_distance_mm(anatomy: Anatomy, *, lengthwise: Mapping[str, Lengthwise] = _UNMEASURED) -> float:
@@ -467,7 +438,7 @@ def _require_known(said: StatedEnd, *, muscles: Mapping[str, Tissue], bones: Seq
 
 def _clearance(surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree], *, spacing_mm: float) -> float:
     """The smallest distance of a surface from any bone at samples, mm; too large by the spacing at most."""
-    places, smallest = _Sampled(surface_samples(surface, spacing_mm=spacing_mm).points), np.inf
+    places, smallest = SampledDistances(surface_samples(surface, spacing_mm=spacing_mm).points), np.inf
     for gap, number in sorted((_box_gap(surface, bone.surface), k) for k, bone in enumerate(bones)):
         if gap < smallest:
             smallest = places.smallest(trees[number], up_to_mm=smallest)
@@ -479,7 +450,7 @@ def _distances(
 ) -> Float:
     """(bones, places) distances that count as close; infinite elsewhere."""
     distances = np.full((len(bones), len(places)), np.inf)
-    sampled = _Sampled(places)
+    sampled = SampledDistances(places)
     for number, bone in enumerate(bones):
         if _box_gap(surface, bone.surface) <= within_mm:
             distances[number] = sampled.distances(trees[number], up_to_mm=within_mm)

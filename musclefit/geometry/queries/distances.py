@@ -11,6 +11,9 @@ from scipy.spatial import cKDTree
 from musclefit.geometry.arrays import Float, Int, Points
 from musclefit.geometry.meshes import TriMesh
 
+EVERY = 64
+"""Of so many samples one tells, by its distance, whether the others can be near enough to be asked."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NearestPlaces:
@@ -57,6 +60,39 @@ class DistanceTree:
             np.asarray(places, dtype=np.float64).reshape(-1, 3),
             np.asarray(faces, dtype=np.int64).reshape(-1),
         )
+
+
+class SampledDistances:
+    """Distances of samples from surfaces, measured only where they can count.
+
+    One sample in `EVERY` is measured; how far another is from the nearest of these bounds its distance from below.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, mm
+        At least one.
+    """
+
+    def __init__(self, points: Points) -> None:
+        self._points = points
+        self._coarse = points[::EVERY]
+        apart, owner = cKDTree(self._coarse).query(points)
+        self._apart, self._owner = np.asarray(apart, dtype=np.float64), np.asarray(owner, dtype=np.int64)
+
+    def distances(self, tree: DistanceTree, *, up_to_mm: float) -> Float:
+        """(N,) distances from a surface, mm, where they are not above a bound; infinite elsewhere."""
+        near = np.flatnonzero(tree(self._coarse)[self._owner] - self._apart <= up_to_mm)
+        found = np.full(len(self._points), np.inf)
+        found[near] = tree(self._points[near])
+        found[found > up_to_mm] = np.inf
+        return found
+
+    def smallest(self, tree: DistanceTree, *, up_to_mm: float) -> float:
+        """The smallest distance from a surface, or the bound where that is smaller."""
+        coarse = tree(self._coarse)
+        bound = min(float(coarse.min()), up_to_mm)
+        near = np.flatnonzero(coarse[self._owner] - self._apart < bound)
+        return min(bound, float(tree(self._points[near]).min())) if len(near) else bound
 
 
 def nearest_places(points: Points, surface: TriMesh) -> NearestPlaces:

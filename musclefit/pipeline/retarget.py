@@ -154,6 +154,9 @@ def settings_of(job: Job) -> Mapping[str, Any]:
     return {"rig": job.name, "overrides": list(job.overrides), **asdict(job.rig)}
 
 
+COMPARED_SHARE = 0.05
+"""Of the rig's budget of boxes: what the proof of a one shot, or of the paper's loop beside a result, may use."""
+
 TetsLater = Callable[[], TetAnatomy | None]
 """Gives the tetrahedra once they are needed: they may be made while the map is."""
 
@@ -255,8 +258,11 @@ class _Finisher:
     """What bones share in the pose by their motions alone: no part of what a deformation that holds them introduces."""
 
     def as_given(self, job: Job) -> _Finisher:
-        """For what a result is shown beside: its tets are moved as they are, and its proof is not part of the job's."""
-        return replace(self, job=job, mesh=replace(job.rig.mesh, refine=False), proving=Silent())
+        """For what a result is compared with: its tets are moved as they are, and its proof has a smaller budget."""
+        boxes = max(1, round(COMPARED_SHARE * job.rig.certificate.max_boxes))
+        rig = replace(job.rig, certificate=replace(job.rig.certificate, max_boxes=boxes))
+        mesh = replace(job.rig.mesh, refine=False)
+        return replace(self, job=replace(job, rig=rig), mesh=mesh, proving=Silent())
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
         made, proof = proved(made, self.job, progress=self.proving)

@@ -13,7 +13,7 @@ from musclefit.pipeline.comparisons import is_papers_loop, papers_loop
 from musclefit.pipeline.retarget import Retargeting
 from musclefit.progress import CERTIFY, MARCH
 from musclefit.rig.job import Job
-from musclefit.vocabulary import Method
+from musclefit.vocabulary import Claim, Method
 
 IMPLICIT = ("deformer.kernel=isochoric-r3", "deformer.step=cayley")
 ALONG_JOINTS = (*IMPLICIT, "deformer.path=joints")
@@ -141,3 +141,14 @@ def test_with_tets_they_are_moved_as_they_are(rig: Path) -> None:
     assert loop.side.mesh is not None
     assert loop.side.mesh.refinement is None
     np.testing.assert_allclose(loop.tet_vertices, loop.deformation(tets.mesh.vertices), rtol=0, atol=1e-12)
+
+
+def test_what_a_result_is_compared_with_has_a_small_part_of_its_budget_of_boxes(rig: Path) -> None:
+    done = run(rig, *ALONG_JOINTS, "certificate.max_boxes=10000")
+    baseline = done.baseline
+    assert baseline is not None
+    of_result, of_baseline = done.result.side.map, baseline.side.map
+    assert of_result.claim is Claim.CERTIFIED
+    assert of_result.boxes_examined > 500
+    assert of_baseline.claim is Claim.UNDECIDED
+    assert of_baseline.boxes_examined <= 500

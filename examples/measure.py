@@ -47,7 +47,7 @@ class Run:
         """What is run, one after the other; the last one is measured."""
         first = [word.format(out=out) for word in self.prepare]
         options = [word for setting in self.settings for word in ("--set", setting)]
-        rig = os.path.expandvars(self.rig.format(out=out))
+        rig = os.path.expandvars(self.rig).format(out=out)
         run = [sys.executable, "-m", "musclefit", "run", rig, "--no-pictures", "--out", str(out / "run"), *options]
         return [[sys.executable, *first], run] if first else [run]
 

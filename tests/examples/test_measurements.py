@@ -98,12 +98,16 @@ def test_tables_and_lines_of_scripts(measure):
     assert said.split("\n\n")[1:] == ["| a | b |\n|---|---|\n| x | 1 |", "```text\nCPU s per frame: 3\n```"]
 
 
-def test_the_commands_name_files_that_are_there(measure):
+def test_the_commands_name_files_that_are_there(measure, tmp_path, monkeypatch):
     root = EXAMPLES.parent
+    monkeypatch.setenv("MUSCLEFIT_DATA", str(tmp_path / "data"))
     for script in measure.SCRIPTS.values():
         assert [word for word in script.command if word.endswith(".py") and not (root / word).is_file()] == []
     for run in measure.RUNS.values():
         assert run.table in measure.TABLES
+        rig = Path(run.commands(tmp_path)[-1][4])
+        named = (root / "rigs" / f"{rig}.toml").is_file()
+        assert named or rig.is_relative_to(tmp_path)
 
 
 def test_bad_input_is_refused(measure, tmp_path):

@@ -39,7 +39,8 @@ def architecture(
         Path | None,
         Parameter(
             name="--attachments",
-            help="CSV of ends that are known: muscle, end (origin or insertion), bone; optionally within_mm, vertices.",
+            help="CSV of ends that are known: muscle, end (origin or insertion), bone; optionally within_mm, vertices, "
+            "sheet.",
         ),
     ] = None,
     within_mm: Annotated[

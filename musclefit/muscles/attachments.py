@@ -74,6 +74,8 @@ class Attachment:
         Why it is free; empty where it is not.
     nearest : str
         The bone nearest to a free end.
+    sheet : TriMesh or None
+        The tendon sheet on which the fibres of this end begin, where one is stated.
     """
 
     muscle: str
@@ -85,6 +87,7 @@ class Attachment:
     distance_mm: float
     reason: str = ""
     nearest: str = ""
+    sheet: TriMesh | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -128,11 +131,13 @@ class StatedEnd:
     muscle : str
     end : End
     bones : tuple of str
-        The attachment is the area close to any of them; none for a free end.
+        The attachment is the area close to any of them; none for a free end, or, with a sheet, for what is found.
     within_mm : float or None
         How close; None for the anatomy's own distance.
     vertices : tuple of int
         Of the muscle's surface as given: the attachment is the triangles all of whose corners are among them.
+    sheet : TriMesh or None
+        A tendon sheet in or along the muscle, mm: fibres begin on it in place of the attachment.
     """
 
     muscle: str
@@ -140,6 +145,7 @@ class StatedEnd:
     bones: tuple[str, ...]
     within_mm: float | None = None
     vertices: tuple[int, ...] = ()
+    sheet: TriMesh | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -273,7 +279,10 @@ def _ends_of(
     if _turn(ends, travel, _root(bones, travel)):
         ends = ends.turned()
     for end, said in stated.items():
-        known = _as_stated(muscle, said, looked, bones, within_mm=within_mm, before=ends)
+        known = ends.origin if end is End.ORIGIN else ends.insertion
+        if said.bones or said.sheet is None:
+            known = _as_stated(muscle, said, looked, bones, within_mm=within_mm, before=ends)
+        known = replace(known, sheet=said.sheet)
         ends = replace(ends, origin=known) if end is End.ORIGIN else replace(ends, insertion=known)
     taken = {ends.origin.bone, ends.insertion.bone}
     touched = sorted(((area.bone, area.area) for area in close if area.bone not in taken), key=lambda t: -t[1])

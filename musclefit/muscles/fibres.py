@@ -3,7 +3,9 @@ r"""Fibre directions in a muscle's tetrahedra by Laplace flow between its ends; 
 The potential :math:`u` solves :math:`\Delta u = 0` with 0 on the origin, 1 on the insertion and no flux through the
 rest of the surface, by linear finite elements; fibres run along its gradient. Where a muscle holds on to bone along
 most of its length, that gradient dies away exponentially from the other end; in such a muscle the flow is driven by an
-even flux in through the origin and out through the insertion instead.
+even flux in through the origin and out through the insertion instead. So is it where tendon sheets are stated: between
+two parallel sheets held potentials would make fibres run square to both, whatever slant the muscle's end walls have.
+A place of a sheet acts at the muscle's nearest place, if it is inside the muscle or within a stated distance of it.
 
 References
 ----------
@@ -19,12 +21,15 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Bool, Float, Int, Points, Tets
 from musclefit.geometry.measures import area_vectors, signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.geometry.tets.relocation import inverse_shapes
 from musclefit.geometry.tets.topology import tet_faces
 
@@ -33,6 +38,15 @@ SINGULAR_SHARE = 0.01
 
 EVEN_FLUX_ABOVE = 0.1
 """A larger share of the volume than this without direction calls for an even flux."""
+
+SHEET_SPACING = 0.5
+"""Sheets act at places this share of the cube root of a tetrahedron's mean volume apart, or closer."""
+
+LEAST_ACTED = 1e-6
+"""Vertices belong to a sheet on which more of it acts than this share of the largest."""
+
+CANDIDATES = 40
+"""Tetrahedra that are asked whether a place of a sheet is in them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,6 +68,8 @@ class FibreField:
         Share of the volume where the gradient all but vanishes; and of pieces that do not reach both ends.
     even_flux : bool
         Whether the flow is driven by an even flux, because held potentials left too much without direction.
+    sheets : tuple of two bool
+        Whether origin and insertion are tendon sheets, on which fibres begin and end; the flux is even then too.
     """
 
     mesh: TetMesh
@@ -65,6 +81,7 @@ class FibreField:
     singular_share: float
     left_out_share: float
     even_flux: bool = False
+    sheets: tuple[bool, bool] = (False, False)
 
     @property
     def used(self) -> Int:
@@ -107,9 +124,96 @@ def laplace_fibres(mesh: TetMesh, *, origin: TriMesh, insertion: TriMesh, within
     held = _held(stiffness, inside, begins, ends)
     found = _field(mesh, gradients, volumes, inside, begins, ends, held)
     if found.singular_share > EVEN_FLUX_ABOVE:
-        even = _even_flux(stiffness, mesh, pieces, reached, begins, ends)
+        areas = _vertex_areas(mesh)
+        even = _even_flux(stiffness, pieces, reached, (np.where(begins, areas, 0.0), np.where(ends, areas, 0.0)))
         return replace(_field(mesh, gradients, volumes, inside, begins, ends, even), even_flux=True)
     return found
+
+
+def sheet_fibres(
+    mesh: TetMesh,
+    *,
+    origin: TriMesh,
+    insertion: TriMesh,
+    sheets: tuple[TriMesh | None, TriMesh | None],
+    within_mm: float,
+    reach_mm: float,
+) -> FibreField:
+    """Fibre directions from and to tendon sheets in or along a muscle, by a flux that is even over each sheet.
+
+    Parameters
+    ----------
+    mesh : TetMesh
+        Of the muscle alone.
+    origin, insertion : TriMesh
+        The areas where fibres begin and end without a sheet.
+    sheets : tuple of two TriMesh or None
+        The sheets of origin and insertion, open or closed; None where the area stands.
+    within_mm : float
+        As in `laplace_fibres`.
+    reach_mm : float
+        Places of a sheet farther outside the muscle than this do not count.
+
+    Raises
+    ------
+    MeshError
+        A sheet of which no place counts, or no piece of the mesh reaches both ends.
+    """
+    areas = _vertex_areas(mesh)
+    near = end_vertices(mesh, origin, insertion, within_mm=within_mm)
+    shares = [
+        np.where(end, areas, 0.0) if sheet is None else _sheet_shares(mesh, sheet, reach_mm=reach_mm)
+        for end, sheet in zip(near, sheets, strict=True)
+    ]
+    begins, ends = (share > LEAST_ACTED * share.max() for share in shares)
+    gradients, volumes = shape_gradients(mesh.vertices, mesh.tets), signed_volumes(mesh.vertices, mesh.tets)
+    pieces = _pieces(mesh.tets, len(mesh.vertices))
+    reached = np.intersect1d(pieces[begins], pieces[ends])
+    if not len(reached):
+        raise MeshError("no piece of the tetrahedra reaches from origin to insertion; mesh it finer")
+    inside = np.isin(pieces, reached)
+    stiffness = laplacian(mesh.tets, gradients, volumes, count=len(mesh.vertices))
+    even = _even_flux(stiffness, pieces, reached, (shares[0], shares[1]))
+    found = _field(mesh, gradients, volumes, inside, begins, ends, even)
+    return replace(found, even_flux=True, sheets=(sheets[0] is not None, sheets[1] is not None))
+
+
+def _sheet_shares(mesh: TetMesh, sheet: TriMesh, *, reach_mm: float) -> Float:
+    """(n,) the area of a sheet that acts on each vertex, mm²: its places by their barycentric coordinates."""
+    boundary = TriMesh(mesh.vertices, tet_faces(mesh.tets).boundary)
+    edge = float(np.cbrt(np.abs(signed_volumes(mesh.vertices, mesh.tets)).mean()))
+    cut = surface_samples(sheet, spacing_mm=SHEET_SPACING * edge).mesh
+    places, areas = cut.corners().mean(axis=1), np.linalg.norm(area_vectors(cut), axis=1)
+    at = nearest_places(places, boundary)
+    inside = winding_numbers(boundary, places) > 0.5
+    counts = inside | (at.distances <= reach_mm)
+    if not counts.any():
+        raise MeshError(
+            f"no place of its tendon sheet is in it or within {reach_mm:.3g} mm of it (the nearest is "
+            f"{at.distances.min():.3g} mm off); check the sheet's frame and unit, or state a larger distance"
+        )
+    places = np.where(inside[:, None], places, at.places)[counts]
+    tets, weights = _located(mesh, places)
+    acted = areas[counts, None] * weights
+    found: Float = np.bincount(mesh.tets[tets].ravel(), acted.ravel(), minlength=len(mesh.vertices)).astype(np.float64)
+    return found
+
+
+def _located(mesh: TetMesh, places: Points) -> tuple[Int, Float]:
+    """The tet that each place is in, or all but in, among those with the nearest middles; and its coordinates there."""
+    count = min(CANDIDATES, len(mesh.tets))
+    candidates = np.asarray(cKDTree(mesh.vertices[mesh.tets].mean(axis=1)).query(places, k=count)[1])
+    candidates = candidates.reshape(len(places), count)
+    gradients = shape_gradients(mesh.vertices, mesh.tets)
+    own = np.zeros(len(places), dtype=np.int64)
+    best = np.full((len(places), 4), -np.inf)
+    for tets in candidates.T:
+        from_first = places - mesh.vertices[mesh.tets[tets, 0]]
+        weights = np.einsum("pci,pi->pc", gradients[tets], from_first) + np.array([1.0, 0.0, 0.0, 0.0])
+        better = weights.min(axis=1) > best.min(axis=1)
+        own[better], best[better] = tets[better], weights[better]
+    best = np.maximum(best, 0.0)
+    return own, best / best.sum(axis=1, keepdims=True)
 
 
 def _held(stiffness: csc_array, inside: Bool, begins: Bool, ends: Bool) -> tuple[Float, float]:
@@ -123,16 +227,15 @@ def _held(stiffness: csc_array, inside: Bool, begins: Bool, ends: Bool) -> tuple
     return potential, float(np.abs(flux[free]).max(initial=0.0) / max(np.abs(flux[fixed]).max(initial=0.0), 1e-300))
 
 
-def _even_flux(
-    stiffness: csc_array, mesh: TetMesh, pieces: Int, reached: Int, begins: Bool, ends: Bool
-) -> tuple[Float, float]:
-    """The potential of a flux that is even over each end, 0 and 1 in the ends' means, and its residual."""
-    potential, residual = np.zeros(len(mesh.vertices)), 0.0
-    areas = _vertex_areas(mesh)
+def _even_flux(stiffness: csc_array, pieces: Int, reached: Int, areas: tuple[Float, Float]) -> tuple[Float, float]:
+    """The potential of a flux that is even over each end, 0 and 1 in the ends' means, and its residual.
+
+    ``areas`` are those of origin and insertion that act on each vertex.
+    """
+    potential, residual = np.zeros(len(pieces)), 0.0
     for piece in reached:
         own = np.flatnonzero(pieces == piece)
-        shares = [np.where(end[own], areas[own], 0.0) for end in (begins, ends)]
-        origin, insertion = (share / share.sum() for share in shares)
+        origin, insertion = (area[own] / area[own].sum() for area in areas)
         right = insertion - origin
         part = stiffness[own][:, own]
         found = np.concatenate([[0.0], _solved(part[1:][:, 1:], right[1:])])

@@ -20,7 +20,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.quantiles import weighted_quantile
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.sections import Lengthwise, Sections
-from musclefit.muscles.attachments import Attachment, MuscleEnds
+from musclefit.muscles.attachments import Attachment, End, MuscleEnds
 from musclefit.muscles.fibres import FibreField
 from musclefit.muscles.streamlines import Streamlines
 
@@ -259,7 +259,7 @@ def measure_at_rest(
         reasons.append(f"{100.0 * field.left_out_share:.2g} % of its volume is in pieces that do not reach both ends")
     if pieces > 1:
         reasons.append(f"its tetrahedra are in {pieces} pieces")
-    if field.even_flux:
+    if field.even_flux and not any(field.sheets):
         reasons.append("its flow is driven by an even flux: held potentials leave too much of it without direction")
     return MuscleArchitecture(
         name=ends.muscle,
@@ -282,10 +282,18 @@ def measure_at_rest(
         residual=field.residual,
         singular_share=field.singular_share,
         left_out_share=field.left_out_share,
-        fibres=source or ("flow driven by an even flux" if field.even_flux else "flow"),
+        fibres=source or _flow(field),
         data_share=data_share,
         note="; ".join(reasons),
     )
+
+
+def _flow(field: FibreField) -> str:
+    """What drives the flow."""
+    if any(field.sheets):
+        ends = " and ".join(end.value for end, sheet in zip(End, field.sheets, strict=True) if sheet)
+        return f"flow by the tendon sheets of {ends}"
+    return "flow driven by an even flux" if field.even_flux else "flow"
 
 
 def measure_carried(

@@ -108,7 +108,8 @@ def streamlines(field: FibreField, *, count: int) -> Streamlines:
         lines.append(evenly_thinned(line))
         complete.append(arrived == 2 and begun == 1)
         along.append((ahead + behind) / length if length > 0.0 else 0.0)
-    return Streamlines(tuple(lines), np.array(complete, dtype=bool), np.array(along))
+    whole = np.array(complete, dtype=bool)
+    return Streamlines(tuple(lines), whole, np.array(along), are_fibres=all(field.sheets))
 
 
 def step_length_mm(field: FibreField) -> float:
@@ -130,7 +131,7 @@ _ACROSS = np.array([0.61, 0.53, 0.59])
 
 
 def vertex_directions(field: FibreField, volumes: Float) -> Points:
-    """(n, 3) directions at the vertices, of length 1 or 0."""
+    """(n, 3) directions at the vertices, of length 1 or 0: 0 on tendon sheets, whose two sides' would cancel out."""
     mesh = field.mesh
     sums = np.zeros((len(mesh.vertices), 3))
     np.add.at(sums, mesh.tets, (volumes[:, None] * field.directions)[:, None])
@@ -142,26 +143,32 @@ def vertex_directions(field: FibreField, volumes: Float) -> Points:
     sizes = np.linalg.norm(normals, axis=1)
     unit = normals / np.where(sizes > 0.0, sizes, 1.0)[:, None]
     sums[free] -= (np.einsum("ni,ni->n", sums, unit)[:, None] * unit)[free]
+    for end, sheet in zip((field.origin, field.insertion), field.sheets, strict=True):
+        sums[end & sheet] = 0.0
     lengths = np.linalg.norm(sums, axis=1)
     directions: Points = sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
     return directions
 
 
 def _around(field: FibreField) -> tuple[Int, Int]:
-    """Opposite each corner of each tet: the neighbour (-1: none), and the end that the face is of (1, 2; 0: none)."""
+    """Opposite each corner of each tet: the neighbour (-1: none), and the end that the face is of (1, 2; 0: none).
+
+    A face inside the muscle is of an end only where that is a tendon sheet, which may lie inside.
+    """
     tets = field.mesh.tets
     faces = tet_faces(tets)
     neighbours = np.full((len(tets), 4), -1, dtype=np.int64)
     ends = np.zeros((len(tets), 4), dtype=np.int64)
     end_of = np.zeros(len(faces.corners), dtype=np.int64)
-    for number, corners in ((1, field.origin[faces.corners]), (2, field.insertion[faces.corners])):
-        end_of[corners.all(axis=1)] = number
+    outer = (faces.tets < 0).any(axis=1)
+    for number, end, sheet in ((1, field.origin, field.sheets[0]), (2, field.insertion, field.sheets[1])):
+        end_of[end[faces.corners].all(axis=1) & (outer | sheet)] = number
     for side in (0, 1):
         own, other = faces.tets[:, side], faces.tets[:, 1 - side]
         there = own >= 0
         opposite = (tets[own[there]][:, :, None] != faces.corners[there][:, None, :]).all(axis=2).argmax(axis=1)
         neighbours[own[there], opposite] = other[there]
-        ends[own[there], opposite] = np.where(other[there] < 0, end_of[there], 0)
+        ends[own[there], opposite] = end_of[there]
     return neighbours, ends
 
 
@@ -262,12 +269,12 @@ def _traced(
             left = step
             continue
         wall = -1
-        if neighbours[tet, leaving] >= 0:
-            tet = neighbours[tet, leaving]
-            continue
         if ends[tet, leaving] == arriving:
             points[count] = place
             return points[: count + 1], arriving, edges
+        if neighbours[tet, leaving] >= 0:
+            tet = neighbours[tet, leaving]
+            continue
         wall = leaving
     return points[:count], 0, edges
 

@@ -28,9 +28,9 @@ from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
 from musclefit.io.run_folder import Maker, claimed, write_surfaces
 from musclefit.meshing.cache import TetCache, default_limit_mb
-from musclefit.meshing.muscle_tets import muscle_tets
+from musclefit.meshing.muscle_tets import MuscleTets, muscle_tets
 from musclefit.muscles.attachments import MuscleEnds, find_ends, usual_distance_mm
-from musclefit.muscles.fibres import FibreField, laplace_fibres
+from musclefit.muscles.fibres import FibreField, laplace_fibres, sheet_fibres
 from musclefit.muscles.given_fibres import (
     FibreUse,
     KnownFibres,
@@ -245,9 +245,10 @@ def architecture(
             raise InputError(f"within_mm: found {within_mm}; expected a finite length above 0, mm")
         if curves and not deform:
             raise InputError("curves need a motion; found that nothing is to be deformed: leave out one of the two")
-        stated = () if attachments is None else read_attachments(attachments)
         with watched(progress) as stages:
             job = rig.job if isinstance(rig, Run) else read_rig(rig, overrides=overrides, progress=stages)
+            tissues = {tissue.name: tissue.surface for tissue in job.anatomy}
+            stated = () if attachments is None else read_attachments(attachments, tissues=tissues)
             motions = {} if job.motions is None else dict(job.motions.at(1.0))
             with stages.stage("attachments"):
                 wanted = _wanted(job, muscles)
@@ -259,7 +260,7 @@ def architecture(
             known, uses, notes = _known(job, fibres)
             deformation = _map_of(rig, job, progress=stages) if deform else None
             reach = fibres.reach_mm if isinstance(fibres, FibreFiles) else None
-            fibred, left_out = _fibres(job, ends, known, lengths, reach_mm=reach, progress=stages)
+            fibred, left_out = _fibres(job, ends, known, lengths, within_mm=within, reach_mm=reach, progress=stages)
             at_rest = tuple(_measured(job, one) for one in fibred.values())
             carried = () if deformation is None else _carry(job, fibred, deformation, motions, progress=stages)
             states: tuple[MotionState, ...] = ()
@@ -370,6 +371,7 @@ def _fibres(
     known: Mapping[str, KnownFibres],
     lengthwise: Mapping[str, Lengthwise],
     *,
+    within_mm: float,
     reach_mm: float | None,
     progress: Progress,
 ) -> tuple[dict[str, FibredMuscle], dict[str, str]]:
@@ -383,12 +385,7 @@ def _fibres(
             along = lengthwise[one.muscle]
             try:
                 tets = muscle_tets(muscle, cache, sections=along.sections, progress=progress)
-                field = laplace_fibres(
-                    tets.mesh,
-                    origin=one.origin.surface,
-                    insertion=one.insertion.surface,
-                    within_mm=ENVELOPES * tets.envelope_mm,
-                )
+                field = _flow(one, tets, reach_mm=within_mm)
                 made = FibredMuscle(
                     one, field, Streamlines.none(), belly_of(muscle.surface, along), tets.pieces, tets.missed_mm
                 )
@@ -400,6 +397,16 @@ def _fibres(
                 left_out[one.muscle] = str(error)
             tick(done / len(ends))
     return fibred, left_out
+
+
+def _flow(ends: MuscleEnds, tets: MuscleTets, *, reach_mm: float) -> FibreField:
+    """The flow between a muscle's areas on bone, or its tendon sheets where these are stated."""
+    sheets = (ends.origin.sheet, ends.insertion.sheet)
+    areas = {"origin": ends.origin.surface, "insertion": ends.insertion.surface}
+    within = ENVELOPES * tets.envelope_mm
+    if sheets == (None, None):
+        return laplace_fibres(tets.mesh, **areas, within_mm=within)
+    return sheet_fibres(tets.mesh, **areas, sheets=sheets, within_mm=within, reach_mm=max(reach_mm, within))
 
 
 def _of_data(made: FibredMuscle, surface: TriMesh, known: KnownFibres, *, reach_mm: float | None) -> FibredMuscle:

@@ -174,3 +174,29 @@ def test_fibres_that_cannot_be_used_are_refused(
     assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "out"), *given]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_tendon_sheet_takes_the_place_of_the_area_on_bone(rig: Path, tmp_path: Path) -> None:
+    """A sheet across the muscle's middle: fibres are about half as long, the attachments stay."""
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "area"), "--quiet"]) == 0
+    ends = {
+        row["end"]: np.array([float(row[f"{x}_mm"]) for x in "xyz"]) for row in rows(tmp_path / "area/attachments.csv")
+    }
+    axis = ends["insertion"] - ends["origin"]
+    sheet = pv.Plane(center=0.5 * (ends["insertion"] + ends["origin"]), direction=axis, i_size=60.0, j_size=60.0)
+    sheet.triangulate().save(tmp_path / "sheet.stl")
+    (tmp_path / "ends.csv").write_text("muscle,end,bone,sheet\nmuscle_flexor,insertion,,sheet.stl\n", encoding="utf-8")
+    given = ("--attachments", str(tmp_path / "ends.csv"))
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "sheet"), "--quiet", *given]) == 0
+    (area,), (sheeted,) = (rows(tmp_path / name / "muscles.csv") for name in ("area", "sheet"))
+    assert sheeted["fibres"] == "flow by the tendon sheets of insertion"
+    assert float(sheeted["path_mm"]) < 0.75 * float(area["path_mm"])
+    for key in ("origin", "origin_mm2", "insertion", "insertion_mm2"):
+        assert sheeted[key] == area[key]
+
+
+def test_a_sheet_that_is_not_there_is_refused(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "ends.csv").write_text("muscle,end,bone,sheet\nmuscle_flexor,origin,,none.stl\n", encoding="utf-8")
+    given = ("--attachments", str(tmp_path / "ends.csv"))
+    assert main(["architecture", str(rig), "--rest", "--out", str(tmp_path / "out"), *given]) == 2
+    assert "line 2: the sheet 'none.stl' is neither a tissue nor a file in" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import skfem
+from febio_assembly import held
 from pyfebio import control, loaddata, material, mesh, meshdomains, output, rigid
 from scipy.spatial.transform import Rotation
 from skfem.models.elasticity import lame_parameters, linear_elasticity
@@ -276,3 +277,24 @@ def test_sliding_tissues_have_nodes_of_their_own(folders: tuple[Path, Path], tmp
     assert len(list(root.iterfind("Mesh/Nodes/node"))) == shared + 9
     (attached,) = root.iterfind("Boundary/bc")
     assert (attached.attrib["type"], attached.findtext("rb")) == ("rigid", "bone_body")
+
+
+def test_the_checker_of_models_takes_a_good_one_and_sees_what_is_wrong(tmp_path: Path) -> None:
+    written(tmp_path, model())
+    path = tmp_path / "model.feb"
+    good = held(path)
+    assert good.holds
+    text = path.read_text(encoding="utf-8")
+    first = ET.parse(path).getroot().find("Mesh/Elements/elem")
+    assert first is not None
+    assert first.text is not None
+    a, b, *rest = first.text.split(",")
+    wrong = {
+        first.text: ",".join([b, a, *rest]),  # inside out
+        '<SolidDomain name="muscle"': '<SolidDomain name="nothing"',
+        "lam_max>": "lam_most>",
+    }
+    for was, now in wrong.items():
+        assert was in text
+        path.write_text(text.replace(was, now, 2 if "lam" in was else 1), encoding="utf-8")
+        assert not held(path).holds, now

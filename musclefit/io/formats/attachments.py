@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
 
 from musclefit.errors import InputError
+from musclefit.geometry.meshes import TriMesh
+from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.rows import csv_lines
 from musclefit.io.formats.texts import decoded
+from musclefit.io.named_files import is_there
 from musclefit.muscles.attachments import End, StatedEnd
 
-COLUMNS = ("muscle", "end", "bone", "within_mm", "vertices")
+_NONE: Mapping[str, TriMesh] = MappingProxyType({})
+
+COLUMNS = ("muscle", "end", "bone", "within_mm", "vertices", "sheet")
 
 
-def read_attachments(path: str | Path) -> tuple[StatedEnd, ...]:
+def read_attachments(path: str | Path, *, tissues: Mapping[str, TriMesh] = _NONE) -> tuple[StatedEnd, ...]:
     """Read what is known of muscles' ends better than by distance.
 
     Parameters
     ----------
     path : path of a CSV file
         Columns ``muscle``, ``end`` ("origin" or "insertion") and ``bone`` (several joined by " + "; empty for a free
-        end); optionally ``within_mm``, how close to the bone the area is, and ``vertices``, numbers of the muscle's
-        vertices from 0, parted by blanks, that make up the area instead.
+        end); optionally ``within_mm``, how close to the bone the area is, ``vertices``, numbers of the muscle's
+        vertices from 0, parted by blanks, that make up the area instead, and ``sheet``, the surface of a tendon sheet
+        on which fibres begin: a tissue's name, or a surface file in mm, from the table's folder. With a sheet, an empty
+        ``bone`` leaves what distance finds.
+    tissues : mapping of name to surface
+        Those that a sheet may be.
 
     Raises
     ------
@@ -45,10 +58,12 @@ def read_attachments(path: str | Path) -> tuple[StatedEnd, ...]:
             f"{path}: found the columns {', '.join(headings)}; expected {', '.join(COLUMNS[:3])}, and optionally "
             f"{' and '.join(COLUMNS[3:])}, each once"
         )
-    return tuple(_stated(path, line, headings, cells) for line, cells in lines[1:])
+    return tuple(_stated(path, line, headings, cells, tissues) for line, cells in lines[1:])
 
 
-def _stated(path: Path, line: int, headings: tuple[str, ...], cells: tuple[str, ...]) -> StatedEnd:
+def _stated(
+    path: Path, line: int, headings: tuple[str, ...], cells: tuple[str, ...], tissues: Mapping[str, TriMesh]
+) -> StatedEnd:
     where = f"{path}: line {line}"
     if len(cells) != len(headings):
         raise InputError(f"{where} has {len(cells)} values for {len(headings)} columns; give one for each")
@@ -63,4 +78,18 @@ def _stated(path: Path, line: int, headings: tuple[str, ...], cells: tuple[str, 
     if within is not None and not 0.0 < within < float("inf"):
         raise InputError(f"{where}: within_mm is {within}; expected a finite length above 0")
     bones = tuple(bone.strip() for bone in values["bone"].split("+") if bone.strip())
-    return StatedEnd(values["muscle"], End(values["end"]), bones, within, vertices)
+    sheet = _sheet(path, where, values["sheet"], tissues) if values.get("sheet") else None
+    return StatedEnd(values["muscle"], End(values["end"]), bones, within, vertices, sheet)
+
+
+def _sheet(path: Path, where: str, name: str, tissues: Mapping[str, TriMesh]) -> TriMesh:
+    """A tissue, or a surface file."""
+    if name in tissues:
+        return tissues[name]
+    file = path.parent / name
+    if not is_there(file):
+        raise InputError(f"{where}: the sheet {name!r} is neither a tissue nor a file in {path.parent}")
+    raw = read_surface(file)
+    if not len(raw.faces) or not np.isfinite(raw.vertices).all():
+        raise InputError(f"{where}: {file} has no triangles, or vertices that are not finite; export it again")
+    return raw.mesh()

@@ -144,7 +144,7 @@ def within_box(shape: Shape, box: Float) -> Shape:
 
     def field(points: Points) -> Float:
         values = np.full(len(points), NEVER)
-        near = ((points > box[0]) & (points < box[1])).all(axis=1)
+        near = np.logical_and.reduce([(points[:, k] > box[0, k]) & (points[:, k] < box[1, k]) for k in range(3)])
         if near.any():
             values[near] = shape(points[near])
         return values
@@ -154,7 +154,7 @@ def within_box(shape: Shape, box: Float) -> Shape:
 
 def ball(centre: Points, *, radius_mm: float) -> Shape:
     """A ball; the field is the exact distance."""
-    return lambda points: np.linalg.norm(points - centre, axis=1) - radius_mm
+    return lambda points: _lengths(points - centre) - radius_mm
 
 
 def ellipsoid(centre: Points, *, semi_axes_mm: Points, rotation: Float) -> Shape:
@@ -169,12 +169,17 @@ def ellipsoid_distance(local: Points, semi_axes: Float) -> Float:
     At the centre, where the formula has no value, it is minus the smallest semi-axis.
     """
     scaled = local / semi_axes
-    level = np.linalg.norm(scaled, axis=1)
-    slope = np.linalg.norm(scaled / semi_axes, axis=1)
+    level, slope = _lengths(scaled), _lengths(scaled / semi_axes)
     smallest = np.broadcast_to(np.min(semi_axes, axis=-1), level.shape)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance: Float = np.where(level > 1e-9, level * (level - 1.0) / slope, -smallest)
     return distance
+
+
+def _lengths(vectors: Points) -> Float:
+    """Of (n, 3) vectors; several times faster than numpy's norm along so short an axis."""
+    lengths: Float = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return lengths
 
 
 def cylinder(*, start: Points, end: Points, radius_mm: float, rounding_mm: float) -> Shape:
@@ -256,7 +261,7 @@ def tube(knots: Points, semi_axes_mm: Points, *, width_direction: Points) -> Sha
         inside = np.clip(station, 0.0, chords[-1])
         relative[:, 2] -= (inside - stations[nearest]) * speeds[nearest]
         section = sections(inside)
-        return ellipsoid_distance(relative, np.column_stack([section, section.min(axis=1)]))
+        return ellipsoid_distance(relative, np.column_stack([section, np.minimum(*section.T)]))
 
     return field
 

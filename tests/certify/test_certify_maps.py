@@ -41,7 +41,7 @@ SCALES = {
     "isochoric-r3-mollified": 8.0,
     "isochoric-wendland-c6": 120.0,
 }
-CAMPAIGN = 60
+CAMPAIGN = 36
 FULL_CAMPAIGN = 520
 
 

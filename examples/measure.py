@@ -189,11 +189,16 @@ def rounded(value: Any) -> Any:
 
 
 def _now() -> dict[str, str]:
-    """The date, and the commit of the code at hand."""
-    said = subprocess.run(
-        ["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    return {"date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(), "commit": said.stdout.strip()}
+    """The date, and the commit of the code at hand; "dirty" where the package or the rigs differ from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+    dirty = "-dirty" if git("status", "--porcelain", "--", "musclefit", "rigs") else ""
+    return {
+        "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        "commit": git("rev-parse", "--short", "HEAD") + dirty,
+    }
 
 
 # ------------------------------------------------------------------ measuring

@@ -18,20 +18,23 @@ from musclefit.fields.evaluation import bricks as sums
 from musclefit.fields.evaluation.bricks import ACROSS, NOTHING, ONE, SIDE, WHOLE
 from musclefit.fields.locked import Fade, Lock, LockedField, Nearness
 from musclefit.flow.steps import CayleyStep, Step, Trial
-from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.distances import DistanceTree
 from musclefit.geometry.queries.solids import pieces
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.geometry.rigid import RigidMotion
-from musclefit.geometry.surfaces.samples import surface_samples
+from musclefit.geometry.surfaces.samples import surface_places
 from musclefit.progress import Progress, Silent
 
-SAMPLED = 0.4
+SAMPLED = 0.3
 """How far a place of a surface may be from a sample of it, in units of the lattice's spacing."""
 
 ON_SURFACE = 0.25
 """Smooth distances at samples of the surface are made no larger than this, in units of the lattice's spacing."""
+
+BRICKS_AT_ONCE = 1024
+"""Bricks whose nodes' distances are measured at once: what they take in memory does not grow with the bone."""
 
 WITHIN = 2.0
 """How far within a bone distances are known, in units of the lattice's spacing."""
@@ -185,18 +188,23 @@ def nearness_of(surface: TriMesh, *, spacing_mm: float, reach_mm: float) -> Near
     low = surface.vertices.min(axis=0) - beyond
     shape = np.ceil((surface.vertices.max(axis=0) + beyond - low) / side).astype(np.int64)
     every = np.argwhere(np.ones(tuple(shape), dtype=bool))
-    apart = _signed_distances(low + (every * SIDE + 0.5 * (SIDE - 1)) * h, surface)
-    near = every[np.abs(apart) <= beyond]
+    solid = _Solid(surface)
+    apart = solid.signed_distances(low + (every * SIDE + 0.5 * (SIDE - 1)) * h)
+    close = np.abs(apart) <= beyond
+    near = every[close]
     bricks = np.full(tuple(shape), NOTHING, dtype=np.int32)
     bricks[tuple(every[apart < -beyond].T)] = WHOLE
     bricks[tuple(near.T)] = np.arange(len(near))
-    steps = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    nodes = low + h * (near[:, None, :] * SIDE + steps).reshape(-1, 3)
     whole = reach_mm + depth
-    share = np.clip((reach_mm - _signed_distances(nodes, surface)) / whole, 0.0, 1.0)
-    inner = np.round(ONE * share).astype(np.uint16).reshape(len(near), SIDE, SIDE, SIDE)
-    samples = surface_samples(surface, spacing_mm=SAMPLED * h)
-    at, level = np.ascontiguousarray(samples.points), ONE * (reach_mm - ON_SURFACE * h) / whole
+    inner = np.empty((len(near), SIDE, SIDE, SIDE), dtype=np.uint16)
+    for first in range(0, len(near), BRICKS_AT_ONCE):
+        some = slice(first, first + BRICKS_AT_ONCE)
+        distances = _of_nodes(
+            solid, low + h * SIDE * near[some], apart[close][some], h, reach_mm=reach_mm, depth_mm=depth
+        )
+        inner[some] = np.round(ONE * np.clip((reach_mm - distances) / whole, 0.0, 1.0))
+    at, gap = surface_places(surface, spacing_mm=SAMPLED * h)
+    level = ONE * (reach_mm - ON_SURFACE * h) / whole
     values = np.empty((len(near), ACROSS**3), dtype=np.uint16)
     sums.with_borders(bricks, near, inner, values)
     found, slopes = np.empty(len(at)), np.empty((len(at), 3))
@@ -204,18 +212,54 @@ def nearness_of(surface: TriMesh, *, spacing_mm: float, reach_mm: float) -> Near
     _raise_beside(at, low, h, bricks, np.ceil(level - ONE * found).astype(np.int64), inner)
     sums.with_borders(bricks, near, inner, values)
     nearness = _packed(Nearness(low, h, bricks, values, reach_mm, depth, 0.0))
-    return _held(nearness, at, samples.gap_mm)
+    return _held(nearness, at, gap)
 
 
-def _signed_distances(points: Points, surface: TriMesh) -> Float:
-    """Negative within what the surface goes around; what has several parts goes around what any of them does."""
-    found = nearest_places(points, surface).distances
-    for part in pieces(surface):
-        near = np.flatnonzero(((points > part.vertices.min(axis=0)) & (points < part.vertices.max(axis=0))).all(axis=1))
-        if near.size:
-            within = near[winding_numbers(part, points[near]) > 0.5]
-            found[within] = -np.abs(found[within])
-    return found
+class _Solid:
+    """What a closed surface goes around; what has several parts goes around what any of them does."""
+
+    def __init__(self, surface: TriMesh) -> None:
+        self._tree, self._parts = DistanceTree(surface), pieces(surface)
+
+    def signed_distances(self, points: Points) -> Float:
+        """(N,) distances of (N, 3) points from the surface, mm; negative within."""
+        found = self._tree(points)
+        found[self.holds(points)] *= -1.0
+        return found
+
+    def distances(self, points: Points) -> Float:
+        """The same without a sign."""
+        return self._tree(points)
+
+    def holds(self, points: Points) -> Bool:
+        """(N,) which points are within."""
+        held: Bool = np.zeros(len(points), dtype=bool)
+        for part in self._parts:
+            low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
+            near = np.flatnonzero(~held & ((points > low) & (points < high)).all(axis=1))
+            held[near] = winding_numbers(part, points[near]) > 0.5
+        return held
+
+
+def _of_nodes(solid: _Solid, corners: Points, middles: Float, h: float, *, reach_mm: float, depth_mm: float) -> Float:
+    """Signed distances (B, SIDE, SIDE, SIDE) of the nodes of bricks, mm, from the first node (B, 3) and the middle's.
+
+    Around the middle of a brick, up to its distance from the surface, every point is on the same side of it. Beyond
+    ``reach_mm`` and ``depth_mm`` distances are not measured, but bounded by the middle's.
+    """
+    steps = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    away = h * np.linalg.norm(steps - 0.5 * (SIDE - 1), axis=1)
+    middle = np.repeat(middles, len(steps))
+    least = np.abs(middle) - np.tile(away, len(middles))  # no node is nearer to the surface
+    found = np.sign(middle) * least
+    measured = np.flatnonzero(least < np.where(middle > 0.0, reach_mm, depth_mm))
+    places = (corners[:, None, :] + h * steps).reshape(-1, 3)[measured]
+    within = middle[measured] < 0.0
+    either = np.flatnonzero(least[measured] <= 1e-6 * h)
+    within[either] = solid.holds(places[either])
+    found[measured] = np.where(within, -1.0, 1.0) * solid.distances(places)
+    of_bricks: Float = found.reshape(-1, SIDE, SIDE, SIDE)
+    return of_bricks
 
 
 def _packed(of: Nearness) -> Nearness:

@@ -15,10 +15,11 @@ from musclefit.fields.corrected import CorrectedField
 from musclefit.fields.locked import Fade, LockedField
 from musclefit.fields.radial import RadialBackend
 from musclefit.fields.solenoidal import PotentialLevel, SolenoidalField
-from musclefit.flow.locks import BoneLocks, LockSettings, Stand
+from musclefit.flow.locks import BoneLocks, LockSettings, Stand, nearness_of
 from musclefit.flow.steps import CayleyStep
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.queries.winding import exact_winding_numbers
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.samples import surface_samples
 from musclefit.vocabulary import Claim, StepKind
@@ -69,6 +70,20 @@ def test_a_step_moves_the_whole_surface_as_its_bone(locked, surface, motion):
     assert np.abs(off).max() < 1e-9
     # without the locks the same field misses it
     assert np.abs(CayleyStep(locked.base)(places) - motion(places)).max() > 0.01
+
+
+def test_smooth_distances_are_those_from_what_either_of_two_overlapping_parts_goes_around():
+    parts = ball((0.0, 0.0, 0.0), (9.0, 7.0, 12.0)), ball((5.0, 2.0, 6.0), (6.0, 8.0, 5.0))
+    near = nearness_of(TriMesh.together(parts), spacing_mm=0.6, reach_mm=5.0)
+    places = np.random.default_rng(4).uniform(-24.0, 24.0, (30_000, 3))
+    within = np.any([exact_winding_numbers(part, places) > 0.5 for part in parts], axis=0)
+    apart = np.min([nearest_places(places, part).distances for part in parts], axis=0)
+    wanted = np.clip(np.where(within, -apart, apart), -near.depth_mm, near.reach_mm)
+    found = near.at(places)[0]
+    # values are rounded at the surface alone, where they are raised, and on ridges between sides
+    assert np.abs(found - wanted).max() < 0.6
+    assert np.median(np.abs(found - wanted)[np.abs(wanted) < 4.0]) < 0.06
+    assert (found[apart > 7.0] == np.where(within, -near.depth_mm, near.reach_mm)[apart > 7.0]).all()
 
 
 def test_what_is_within_a_bone_moves_with_it(locked):

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from musclefit.errors import MeshError
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.surfaces.samples import largest_gap, surface_samples
+from musclefit.geometry.surfaces.samples import largest_gap, surface_places, surface_samples
 from musclefit.geometry.surfaces.subdivision import with_short_edges
 
 SQUARE = TriMesh(
@@ -52,6 +52,16 @@ def test_no_place_is_farther_from_a_sample_than_the_gap_and_the_gap_is_within_th
     np.testing.assert_array_equal(samples.points[: samples.given], SQUARE.vertices)
     assert len(samples.between) == len(samples.points) - 4
     assert samples.areas.sum() == pytest.approx(1200.0)
+
+
+@pytest.mark.parametrize("spacing", [0.7, 3.0, 100.0])
+def test_places_by_triangle_keep_their_gap_too(spacing: float) -> None:
+    slender = TriMesh(np.vstack([SQUARE.vertices, [[20.0, -0.5, 4.0]]]), np.vstack([SQUARE.faces, [[1, 0, 4]]]))
+    places, gap = surface_places(slender, spacing_mm=spacing)
+    found = cKDTree(places).query(places_on(slender))[0].max()
+    assert 0.8 * gap <= found <= gap + 1e-9
+    assert gap <= spacing
+    assert cKDTree(places).query(slender.vertices)[0].max() == 0.0
 
 
 def test_areas_make_a_mean_that_does_not_see_how_finely_a_part_is_cut() -> None:

@@ -70,9 +70,40 @@ def surface_samples(mesh: TriMesh, *, spacing_mm: float) -> SurfaceSamples:
     return SurfaceSamples(cut, len(mesh.vertices), areas, largest_gap(cut))
 
 
+def surface_places(mesh: TriMesh, *, spacing_mm: float) -> tuple[Points, float]:
+    """Places of a surface of which one is within a spacing of every place of it, and how far they may be at most.
+
+    Each triangle is cut into equal ones by itself, so that places of its sides come once for each triangle: cheaper
+    than `surface_samples`, for where neither areas nor neighbours count.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    spacing_mm : float
+
+    Returns
+    -------
+    (N, 3) float64, mm
+    float, mm
+    """
+    corners = mesh.corners()
+    gaps = _gaps(corners)
+    parts = np.maximum(np.ceil(gaps / spacing_mm), 1.0).astype(np.int64)
+    found = [mesh.vertices]
+    for count in np.unique(parts):
+        a, b = np.divmod(np.arange((count + 1) ** 2), count + 1)
+        shares = np.column_stack([a, b, count - a - b])[a + b <= count] / count
+        found.append(np.einsum("sk,tkj->tsj", shares, corners[parts == count]).reshape(-1, 3))
+    return np.concatenate(found), float((gaps / parts).max(initial=0.0))
+
+
 def largest_gap(mesh: TriMesh) -> float:
     """How far a place of a surface may be from the nearest corner of its triangle, at most, mm."""
-    corners = mesh.corners()
+    return float(_gaps(mesh.corners()).max(initial=0.0))
+
+
+def _gaps(corners: Points) -> Float:
+    """(T,) the same for each of (T, 3, 3) triangles."""
     sides = np.sort(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2), axis=1)
     a, b, c = (np.maximum(side, 1e-300) for side in sides.T)
     # Acute: the middle of the circumscribed circle. Obtuse (c the longest side): where the place is as far from the
@@ -84,4 +115,5 @@ def largest_gap(mesh: TriMesh) -> float:
     on_side = np.maximum(b / (2.0 * np.maximum(cos_a, 1e-12)), a / (2.0 * np.maximum(cos_b, 1e-12)))
     on_side = np.minimum(on_side, c / EDGES_PER_SPACING)
     around = c / (2.0 * np.sqrt(np.maximum(1.0 - cos_c * cos_c, 0.75)))
-    return float(np.where(blunt, on_side, around).max(initial=0.0))
+    gaps: Float = np.where(blunt, on_side, around)
+    return gaps

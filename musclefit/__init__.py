@@ -1,10 +1,10 @@
 """musclefit: foldover-free retargeting of layered musculoskeletal models, with a report that proves it.
 
 One function for each command, with the command's own defaults: `run`, `sequence`, `check`, `check_mesh`, `repair`,
-`cage`, `fit_body`, `fit_joint`, `from_labels`, `joint_range`, `label_surfaces`, `warp_image`, `warp_field`,
-`warp_deck`, `export`, `export_motion`, `export_osim`, `import_osim`, `architecture`, `febio_model` and `init`. They
-and what they give back are stable, as are the other names of this module; what is in the rooms below may change with
-any version.
+`cage`, `fit_body`, `fit_measures`, `fit_joint`, `from_labels`, `joint_range`, `label_surfaces`, `warp_image`,
+`warp_field`, `warp_deck`, `export`, `export_motion`, `export_osim`, `import_osim`, `architecture`, `febio_model` and
+`init`. They and what they give back are stable, as are the other names of this module; what is in the rooms below may
+change with any version.
 """
 
 from importlib import import_module as _import_module
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from musclefit.workflows.febio_model import febio_model
     from musclefit.workflows.fit_body import fit_body
     from musclefit.workflows.fit_joint import fit_joint
+    from musclefit.workflows.fit_measures import fit_measures
     from musclefit.workflows.from_labels import from_labels
     from musclefit.workflows.import_osim import import_osim
     from musclefit.workflows.init import init
@@ -101,6 +102,7 @@ _HOMES = {
     "find_rig": "io.rigs",
     "fit_body": "workflows.fit_body",
     "fit_joint": "workflows.fit_joint",
+    "fit_measures": "workflows.fit_measures",
     "from_labels": "workflows.from_labels",
     "import_osim": "workflows.import_osim",
     "init": "workflows.init",
@@ -167,6 +169,7 @@ __all__ = [
     "find_rig",
     "fit_body",
     "fit_joint",
+    "fit_measures",
     "from_labels",
     "import_osim",
     "init",

@@ -304,12 +304,28 @@ def _recording(path: Path) -> object:
     return read_recording(path.read_bytes(), source=str(path), frame=MarkerFrame())
 
 
+def _measures(path: Path) -> object:
+    from musclefit.io.formats.body_measures import read_body_measures
+
+    return read_body_measures(path)
+
+
 def _deck(path: Path) -> object:
     from musclefit.io.decks import read_deck
 
     return read_deck(path)
 
 
+MEASURES = {
+    "stature": {"kind": "stature", "value": 178, "unit": "cm"},
+    "waist": {"kind": "girth", "value": 92.5, "unit": "cm", "height": 105},
+    "arm": {"kind": "length", "value": 0.33, "unit": "m", "from": "a", "to": "b"},
+}
+MEASURES_TOML = b"""[measures]
+stature = { kind = "stature", value = 178, unit = "cm" }
+calf = { kind = "girth", value = 38, unit = "cm", at = "c", from = "a", to = "b" }
+"""
+MEASURES_CSV = b"name,kind,value,unit,height,at,from,to\nstature,stature,178,cm,,,,\nwaist,girth,920,mm,1050,,,\n"
 KEYWORDS = (
     b"*KEYWORD\n*NODE\n       1             0.0             0.0             0.0\n"
     b"       2             1.0             0.0             0.0\n"
@@ -523,6 +539,9 @@ READERS = (
     Reader("joints toml", ".toml", _joints, _joint_files),
     Reader("rig toml", ".toml", _rig, _rig_files),
     Reader("recording trc", ".trc", _recording, _given(TRC)),
+    Reader("measures toml", ".toml", _measures, _given(MEASURES_TOML)),
+    Reader("measures json", ".json", _measures, _given(json.dumps({"measures": MEASURES}).encode())),
+    Reader("measures csv", ".csv", _measures, _given(MEASURES_CSV)),
     Reader("deck k", ".k", _deck, _given(KEYWORDS)),
     Reader("deck inp", ".inp", _deck, _given(ABAQUS)),
     Reader("deck feb", ".feb", _deck, _given(FEBIO)),

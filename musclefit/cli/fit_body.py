@@ -1,10 +1,10 @@
-"""The command that fits a template's skin to a scan."""
+"""The command that fits a template's skin to a scan, or to measures."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -14,6 +14,10 @@ from musclefit.workflows.progress import TimedStages
 
 PASSED, FAILED = 0, 1
 
+MEDIAN_MM, MOST_MM = 2.0, 8.0
+MEASURES = (".toml", ".json", ".csv")
+"""Endings of files of measures; no scan has one of them."""
+
 UNSURE = 1.3
 """A second way to lie that fits less than so many times as badly is told."""
 
@@ -21,7 +25,11 @@ UNSURE = 1.3
 def fit_body(
     template: Annotated[Path, Parameter(help="The template's skin, closed: PLY, STL, OBJ, VTP.")],
     scan: Annotated[
-        Path, Parameter(help="The scan: a surface in a similar pose, anywhere in space; holes are allowed.")
+        Path,
+        Parameter(
+            help="The scan: a surface in a similar pose, anywhere in space; holes are allowed. Or measures instead: "
+            "stature, girths, lengths with their units (.toml, .json, .csv)."
+        ),
     ],
     out: Annotated[Path, Parameter(help="New or empty folder for cage, targets, rig, surfaces and report.")],
     /,
@@ -43,26 +51,59 @@ def fit_body(
         Literal["mm", "cm", "m"], Parameter(name="--scan-units", help="Length unit of the scan.", show_default=True)
     ] = "mm",
     template_landmarks: Annotated[
-        Path | None, Parameter(name="--template-landmarks", help="Landmarks on the template, matched by name with")
+        Path | None,
+        Parameter(
+            name="--template-landmarks",
+            help="Landmarks on the template: by their names measures are taken, or they are matched with",
+        ),
     ] = None,
     scan_landmarks: Annotated[Path | None, Parameter(name="--scan-landmarks", help="landmarks on the scan.")] = None,
+    up: Annotated[
+        Literal["x", "y", "z", "-x", "-y", "-z"],
+        Parameter(name="--up", help="The way from feet to head, for measures.", show_default=True),
+    ] = "z",
     frame: Annotated[str, Parameter(name="--frame", help="The template's frame, for the rig.")] = "",
     median_mm: Annotated[
         float, Parameter(name="--median-mm", help="Largest median distance of the scan that passes.", show_default=True)
-    ] = 2.0,
+    ] = MEDIAN_MM,
     most_mm: Annotated[
         float,
         Parameter(
             name="--most-mm", help="Largest distance that passes for 95 % of the scan's area.", show_default=True
         ),
-    ] = 8.0,
+    ] = MOST_MM,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> int:
-    """Fit a template's skin to a body scan of any triangulation, and write the cage that deforms the anatomy to match.
+    """Fit a template's skin to a body scan, or to measures, and write the cage that deforms the anatomy to match.
 
     Exit code 1: the fit is written, and the scan is farther from the skin than the limits.
     """
+    if scan.suffix.lower() in MEASURES:
+        scans_only = {
+            "--scan-units": scan_units != "mm",
+            "--scan-landmarks": scan_landmarks is not None,
+            "--median-mm": median_mm != MEDIAN_MM,
+            "--most-mm": most_mm != MOST_MM,
+        }
+        for option in (option for option, given in scans_only.items() if given):
+            raise InputError(f"{option}: is for scans, and {scan} holds measures; leave it out")
+        return _fit_measures(
+            template,
+            scan,
+            out,
+            quiet=quiet,
+            json=json,
+            landmarks=template_landmarks,
+            up=up,
+            cage=cage,
+            vertices=vertices,
+            anatomy=anatomy,
+            units=units,
+            frame=frame,
+        )
+    if up != "z":
+        raise InputError(f"--up: is for measures, and {scan} is a scan; leave it out")
     from musclefit.workflows.fit_body import fit_body as fit
     from musclefit.workflows.fit_body import rig_of
 
@@ -108,3 +149,26 @@ def fit_body(
             )
         print(f"next: musclefit run {rig_of(out)}")
     return PASSED if found.passed else FAILED
+
+
+def _fit_measures(template: Path, measures: Path, out: Path, *, quiet: bool, json: bool, **options: Any) -> int:
+    """Fit to measures, and print each before, wanted and reached."""
+    from musclefit.workflows.fit_body import rig_of
+    from musclefit.workflows.fit_measures import fit_measures as fit
+
+    with TimedStages(shown=not quiet) as stages:
+        found = fit(template, measures, out, progress=stages, **options)
+    if json:
+        print_json(found.to_json())
+    elif not quiet:
+        for finding in found.findings:
+            print(finding.message, file=sys.stderr)
+        print(f"wrote {out}: {found.said()}")
+        for row in found.measures():
+            print(
+                f"{row['name']}: {row['before']:.5g} {row['unit']}, wanted {row['wanted']:.5g}, is {row['reached']:.5g}"
+            )
+        if found.fit.crossings:
+            print(f"{found.fit.crossings} pairs of triangles of the target cage cross: inspect {out}/cage_target.ply")
+        print(f"next: musclefit run {rig_of(out)}")
+    return PASSED

@@ -1,4 +1,4 @@
-"""The folder of a body fitted to a scan: cages, surfaces with their distances, a rig, and a report; decides nothing."""
+"""The folder of a body fitted to a scan or to measures: cages, surfaces, a rig, and a report; decides nothing."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from musclefit.geometry.similarity import Similarity
 from musclefit.io.formats.tables import toml_string
 from musclefit.io.run_folder import ply_bytes, write_new_folder
 from musclefit.pipeline.fit_body import KERNEL, BodyFit
+from musclefit.pipeline.fit_measures import MeasureFit
 from musclefit.scratch import scratch_folder
 
 REPORT, RIG, CAGE, TARGET, SKIN, SCAN = (
@@ -42,6 +43,23 @@ def write_body_fit(
         TARGET: ply_bytes(fit.cage.with_vertices(fit.target)),
         SKIN: skin,
         SCAN: _with_data(fit.scan, {"distance_mm": fit.scan_distances}),
+        RIG: _rig(title, anatomy, frame, crossings=fit.crossings).encode(),
+        REPORT: (json.dumps(report, indent=2) + "\n").encode(),
+    }
+    write_new_folder(folder, files)
+
+
+def write_measure_fit(
+    folder: Path, fit: MeasureFit, *, title: str, anatomy: Sequence[str], frame: str, report: dict[str, Any]
+) -> None:
+    """Write a template with other measures into a new or empty folder, whole or not at all.
+
+    ``cage.ply`` and ``cage_target.ply`` drive ``body.toml``; ``skin_fitted.vtp`` carries ``displacement_mm``.
+    """
+    files = {
+        CAGE: ply_bytes(fit.cage),
+        TARGET: ply_bytes(fit.cage.with_vertices(fit.target)),
+        SKIN: _with_data(fit.skin, {"displacement_mm": fit.skin.vertices - fit.rest.vertices}),
         RIG: _rig(title, anatomy, frame, crossings=fit.crossings).encode(),
         REPORT: (json.dumps(report, indent=2) + "\n").encode(),
     }

@@ -138,7 +138,7 @@ def fit_body(
     with progress.stage("register") as tick:
         found = registered(skin, cage, laid.scan, rng=rng, landmarks=marks, told=tick)
     with progress.stage("march"):
-        deformation = _map(cage, found.cage, skin).require()
+        deformation = cage_map(cage, found.cage, skin).require()
     moved = skin.with_vertices(deformation(skin.vertices))
     with progress.stage("measure"):
         return _measured(cage, found.cage, laid, deformation, moved, rng=rng)
@@ -224,7 +224,7 @@ def _require_likely(whole: Similarity, skin: TriMesh, scan: TriMesh) -> None:
         )
 
 
-def _map(cage: TriMesh, target: Points, skin: TriMesh) -> Deformation:
+def cage_map(cage: TriMesh, target: Points, skin: TriMesh) -> Deformation:
     """The map that a rig of this cage makes."""
     stepper = HandleStepper(StraightPath(cage.vertices, target), RadialBackend(KERNEL), cayley_step)
     rule = rule_for(StepKind.CAYLEY, StepRule.ROW_NORM)

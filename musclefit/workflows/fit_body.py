@@ -159,7 +159,7 @@ def fit_body(
             target, more = _scan(read_surface(Path(scan), units=other))
             places = None if landmarks is None else _landmarks(landmarks, unit, other)
         with stages.stage("make the cage"):
-            made = cage_of(tissue.surface, vertices=vertices) if cage is None else _cage(Path(cage), unit)
+            made = cage_of(tissue.surface, vertices=vertices) if cage is None else read_cage(Path(cage), unit)
         fit = fitted(tissue.surface, made, target, rng=np.random.default_rng(0), landmarks=places, progress=stages)
         result = FittedBody(
             fit, median_mm, most_mm, (*raw.findings, *findings, *more), None if out is None else Path(out)
@@ -196,7 +196,8 @@ def _scan(raw: RawSurface) -> tuple[TriMesh, tuple[Finding, ...]]:
     return TriMesh(joined.vertices, joined.faces[~flat]), tuple(found)
 
 
-def _cage(path: Path, unit: Unit) -> TriMesh:
+def read_cage(path: Path, unit: Unit) -> TriMesh:
+    """A cage of a file; MeshError where its format does not share vertices."""
     if path.suffix.lower() == ".stl":
         raise MeshError(f"{path}: in STL every triangle has its own vertices; give the cage as PLY or OBJ")
     return read_surface(path, units=unit).mesh()

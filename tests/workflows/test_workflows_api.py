@@ -25,6 +25,7 @@ COMMANDS = (
     "cage",
     "fit_body",
     "fit_joint",
+    "fit_measures",
     "from_labels",
     "joint_range",
     "label_surfaces",

@@ -165,7 +165,7 @@ def _sections(surface: TriMesh, along: Float, *, count: int) -> Sections:
         crossed = surface.faces[above[surface.faces].any(axis=1) & ~above[surface.faces].all(axis=1)]
         if not len(crossed):
             continue
-        ends, pairs = _level_curve(crossed, above)
+        ends, pairs = level_curve(crossed, above)
         here = np.unique(ends, axis=0)
         low, high = along[here[:, 0]], along[here[:, 1]]
         edges.append(here)
@@ -200,7 +200,7 @@ def _position(surface: TriMesh, along: Float) -> Float:
     return position
 
 
-def _level_curve(crossed: Int, above: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[Int, Int]:
+def level_curve(crossed: Int, above: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[Int, Int]:
     """Edges that a level crosses, two of each face in row, and (s, 2) segments between their unique numbers."""
     alone_above = above[crossed].sum(axis=1) == 1
     corner = np.where(alone_above, above[crossed].argmax(axis=1), (~above[crossed]).argmax(axis=1))

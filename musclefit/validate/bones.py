@@ -200,8 +200,8 @@ def first_collision(
             there = after if sub == most else motions_at(at)
             found = _worst_first(_shared(bones, there, pair) for pair in tested)
             if found and found[0].collides:
-                free = before + (end - before) * (sub - 1) / most
-                return _narrowed(bones, motions_at, free=free, hit=(at, found[0]), turn_deg=turn_deg)
+                # Where all pairs were last found free: some were not tested since.
+                return _narrowed(bones, motions_at, free=before, hit=(at, found[0]), turn_deg=turn_deg)
         before, motions = end, after
     return None
 

@@ -13,6 +13,7 @@ from musclefit.geometry.rigid import RigidMotion
 from musclefit.validate.bones import (
     DEPTH_MOST_MM,
     RESOLUTION_DEG,
+    VOLUME_SHARE,
     BoneCollision,
     Motions,
     first_collision,
@@ -233,3 +234,21 @@ def test_a_bone_that_is_no_solid_is_named():
     assert prepared.names == ("a",)
     with pytest.raises(MeshError, match=r"bone 'b' .*not a closed oriented 2-manifold"):
         prepared.require_all()
+
+
+def test_the_feasible_pose_holds_for_bones_that_are_tested_less_often_than_others():
+    """A bone that goes far past others is tested on the way oftener than one that creeps up to them."""
+    plates = TriMesh.together([box((-30, -30, -10), (30, 15, 0)), box((-30, 29, -10), (30, 30, 0))])
+    creeping, sliding = box((-5, -5, 0.2), (5, 5, 10)), box((-28, 20, -9), (-20, 28, -1))
+    anatomy = bones(plates=plates, creeping=creeping, sliding=sliding)
+    names = [tissue.name for tissue in anatomy]
+    prepared = rigid_bones(anatomy, names)
+
+    def at(t: float) -> Motions:
+        return {"plates": STILL, "creeping": by(0.0, 0.0, -2.0 * t), "sliding": by(40.0 * t)}
+
+    found = first_collision(prepared, at, turn_deg=3.0)
+    assert found is not None
+    # at a depth at which they share VOLUME_SHARE of the smaller one's 980 mm³ over 100 mm²
+    assert found.feasible == pytest.approx(0.5 * (0.2 + 980.0 * VOLUME_SHARE / 100.0), abs=RESOLUTION_DEG / 3.0)
+    assert not any(overlap.collides for overlap in shared_by_bones(prepared, at(found.feasible)))

@@ -6,6 +6,8 @@ import gzip
 import io
 import itertools
 import json
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -304,6 +306,33 @@ def _recording(path: Path) -> object:
     return read_recording(path.read_bytes(), source=str(path), frame=MarkerFrame())
 
 
+def _recording_c3d(path: Path) -> object:
+    from musclefit.io.marker_motions import MarkerFrame, Up, read_recording
+
+    return read_recording(path.read_bytes(), source=str(path), frame=MarkerFrame(Up.Y))
+
+
+WRITE_C3D = """
+import sys
+import ezc3d
+import numpy as np
+made = ezc3d.c3d()
+made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+made["parameters"]["POINT"]["LABELS"]["value"] = ["subject:A", "B"]
+made["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+made["data"]["points"] = np.ones((4, 2, 3))
+made.write(sys.argv[1])
+"""
+"""In a process of its own: beside OpenSim's library ezc3d takes vectors for those of another kind."""
+
+
+def _recordings_c3d() -> list[bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.c3d"
+        subprocess.run([sys.executable, "-c", WRITE_C3D, str(path)], check=True)
+        return [path.read_bytes()]
+
+
 def _measures(path: Path) -> object:
     from musclefit.io.formats.body_measures import read_body_measures
 
@@ -539,6 +568,7 @@ READERS = (
     Reader("joints toml", ".toml", _joints, _joint_files),
     Reader("rig toml", ".toml", _rig, _rig_files),
     Reader("recording trc", ".trc", _recording, _given(TRC)),
+    Reader("recording c3d", ".c3d", _recording_c3d, _recordings_c3d),
     Reader("measures toml", ".toml", _measures, _given(MEASURES_TOML)),
     Reader("measures json", ".json", _measures, _given(json.dumps({"measures": MEASURES}).encode())),
     Reader("measures csv", ".csv", _measures, _given(MEASURES_CSV)),

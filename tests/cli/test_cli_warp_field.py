@@ -97,6 +97,20 @@ def test_nrrd_states_frame_unit_kind_and_direction(rig, tmp_path):
     assert any("rest to deformed body, mm, LPS+" in line for line in header)
 
 
+def test_pynrrd_reads_the_same_vectors_and_frame_as_simpleitk(rig, tmp_path):
+    import nrrd
+
+    mf.warp_field(rig, to_deformed=tmp_path / "x.nrrd", frame="ras", spacing_mm=10.0)
+    vectors, header = nrrd.read(str(tmp_path / "x.nrrd"))
+    image = sitk.ReadImage(str(tmp_path / "x.nrrd"), sitk.sitkVectorFloat64)
+    assert header["space"] == "left-posterior-superior"
+    np.testing.assert_allclose(header["space origin"], image.GetOrigin(), rtol=0, atol=1e-9)
+    axes = np.array(image.GetDirection()).reshape(3, 3) * image.GetSpacing()
+    np.testing.assert_allclose(header["space directions"][1:].T, axes, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(vectors.transpose(3, 2, 1, 0), sitk.GetArrayFromImage(image))
+    assert np.abs(vectors).max() > 1.0
+
+
 def test_the_grid_of_an_image_is_taken_and_places_beyond_it_are_told(rig, tmp_path, capsys):
     turn = np.linalg.qr(np.array([[0.9, 0.1, 0.2], [-0.1, 1.0, 0.1], [-0.2, 0.0, 1.0]]))[0]
     affine = np.eye(4)

@@ -13,7 +13,14 @@ FILES = 12
 SEED = 2
 
 
-@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+SLOW = ("recording c3d",)
+"""Whose every file takes a process of its own."""
+
+
+@pytest.mark.parametrize(
+    "reader",
+    [pytest.param(r, id=r.name, marks=[pytest.mark.slow] if r.name in SLOW else []) for r in READERS],
+)
 def test_a_good_file_is_read_and_damaged_ones_are_refused_in_words(reader: Reader, tmp_path: Path) -> None:
     refused = 0
     for data in reader.examples():

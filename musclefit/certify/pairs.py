@@ -413,7 +413,17 @@ def _told_apart(boxes: _Boxes, values: Points, errors: Float, s: float, pairs: I
 
 
 @njit(cache=True)
-def _tell_apart(centres, halves, values, errors, matrices, inverses, loose, pairs, told):
+def _tell_apart(
+    centres: Points,
+    halves: Float,
+    values: Points,
+    errors: Float,
+    matrices: Gradients,
+    inverses: Gradients,
+    loose: Float,
+    pairs: Int,
+    told: Bool,
+) -> None:
     n = centres.shape[1]
     for p in range(len(pairs)):
         for turned in range(2):

@@ -7,7 +7,7 @@ it is off by their own rounding.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,11 +18,47 @@ from musclefit.fields.enclosures.values import value_sums
 from musclefit.fields.kernels import RadialKernel, kernel_named
 from musclefit.geometry.arrays import Float, Gradients, Points
 
-if TYPE_CHECKING:
-    from musclefit.fields.radial import RadialField
-
 BLUR = 8.0 * float(np.finfo(np.float64).eps)
 """Of the largest local coordinates: how far a local position, a difference of two and its computed length are off."""
+
+
+class RadialSum(Protocol):
+    """What a radial field is as a formula; `musclefit.fields.radial.RadialField` describes the attributes."""
+
+    @property
+    def kernel(self) -> str:
+        """A name of `musclefit.fields.kernels.KERNELS`."""
+        ...
+
+    @property
+    def scale(self) -> float:
+        """The kernel's own length, mm."""
+        ...
+
+    @property
+    def centres(self) -> Points:
+        """(m, n), mm."""
+        ...
+
+    @property
+    def weights(self) -> Float:
+        """(m, n)."""
+        ...
+
+    @property
+    def origin(self) -> Float:
+        """(n,), mm."""
+        ...
+
+    @property
+    def linear(self) -> Float:
+        """(n, n)."""
+        ...
+
+    @property
+    def translation(self) -> Float:
+        """(n,), mm."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +71,7 @@ class _Boxes:
     blur: float
 
 
-def gradient_bounds(
-    field: RadialField, centres: Points, half_widths: Float, *, balls: Float
-) -> tuple[Gradients, Float]:
+def gradient_bounds(field: RadialSum, centres: Points, half_widths: Float, *, balls: Float) -> tuple[Gradients, Float]:
     """Enclose the gradient over boxes, or over their parts within ``balls`` (B,) of the centres.
 
     See `musclefit.fields.protocol.Field.gradient_bounds`.
@@ -51,7 +85,7 @@ def gradient_bounds(
 
 
 def strain_bounds(
-    field: RadialField, centres: Points, half_widths: Float, *, balls: Float, enough: tuple[float, float]
+    field: RadialSum, centres: Points, half_widths: Float, *, balls: Float, enough: tuple[float, float]
 ) -> tuple[Float, Float]:
     """Bound the eigenvalues of the strain over boxes, or over their parts within ``balls`` (B,) of the centres.
 
@@ -74,7 +108,7 @@ def strain_bounds(
     return ranges, middles
 
 
-def displacement_bounds(field: RadialField, centres: Points, half_widths: Float) -> tuple[Points, Float]:
+def displacement_bounds(field: RadialSum, centres: Points, half_widths: Float) -> tuple[Points, Float]:
     """Enclose the displacement over boxes; see `musclefit.fields.radial.RadialField.displacement_bounds`."""
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
     scale, _, table, _, sources, weights, sizes, _ = boxes.field
@@ -113,7 +147,7 @@ def cubes(radii: Float, n: int) -> Float:
     return np.repeat(np.asarray(radii, dtype=np.float64)[:, None], n, axis=1)
 
 
-def _prepared(field: RadialField, centres: Points, half_widths: Float) -> _Boxes:
+def _prepared(field: RadialSum, centres: Points, half_widths: Float) -> _Boxes:
     n = field.centres.shape[1]
     if centres.ndim != 2 or centres.shape[1] != n or half_widths.shape != centres.shape:
         raise FieldError(

@@ -13,7 +13,7 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and give the exit code.
 
-    Everything else is imported in here, so that an interruption or an error while that goes on is told as any other.
+    Everything else is imported in here, so that an interruption or error during imports is reported like any other.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ def inspect(
         What was found when reading it.
     title : str
     thinnest_mm, smallest_gap_mm : float
-        Thinner walls, narrower slots and smaller gaps are findings; 0 for not looking.
+        Thinner walls, narrower slots and smaller gaps are findings; 0 switches this off.
 
     Returns
     -------

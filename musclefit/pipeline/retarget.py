@@ -253,7 +253,7 @@ class _Finisher:
     mesh: MeshSettings
     progress: Progress
     proving: Progress
-    """Told of the proof: the seconds of the job's own are compared with those of its march."""
+    """Receives the progress of the proof: the seconds of the job's own are compared with those of its march."""
     shared: tuple[BoneOverlap, ...]
     """What bones share in the pose by their motions alone: no part of what a deformation that holds them introduces."""
 

@@ -33,7 +33,7 @@ def close_findings(
     ----------
     solids : SolidAnatomy
     thinnest_mm, smallest_gap_mm : float
-        0 for not looking.
+        0 switches this off.
     """
     found: list[Finding] = []
     tissues = [tissue for tissue in solids.anatomy if tissue.name in solids.solids]

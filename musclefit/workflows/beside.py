@@ -28,7 +28,7 @@ class Beside(Generic[Done]):
     work : callable
         Takes the progress that it tells its stages, and gives what it is wanted for. It is given up at a tick.
     progress : Progress
-        Told of the work's stages, from its thread.
+        Receives the stages of the work, from its thread.
     waiting : Progress
         Told, from the thread that asks for the result, how long it is waited for.
     """

@@ -28,7 +28,7 @@ FAULTS = (
     *("merged-vertices", "repeated-vertices", "repeated-faces", "turned-faces", "inside-out", "cut-polygons"),
     *("unknown-kind", "not-read"),
 )
-"""Findings that `check` can be told to fail on; surfaces that are open or have no inside always fail it."""
+"""Findings that ``fail_on`` accepts; surfaces that are open or have no inside always fail it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -78,11 +78,11 @@ def check(
     kinds : mapping of name or pattern to {"skin", "muscle", "bone", "other"}
         What tissues are, ahead of what their file names say.
     fail_on : sequence of str
-        Findings that fail the check beside overlaps and surfaces without an inside: any of ``FAULTS``.
+        Findings that fail the check, in addition to overlaps and surfaces without an inside: any of ``FAULTS``.
     thinnest_mm : float
-        Walls of a tissue that are thinner, and slots in it that are narrower, fail the check; 0 for not looking.
+        Walls of a tissue that are thinner, and slots in it that are narrower, fail the check; 0 switches this off.
     smallest_gap_mm : float
-        Two tissues that are closer, but do not overlap, fail the check (the skin left out); 0 for not looking.
+        Two tissues (other than the skin) that are closer but do not overlap fail the check; 0 switches this off.
     progress : Progress, optional
 
     Raises

@@ -16,7 +16,7 @@ from rich.progress import Progress as Bars
 from musclefit.progress import Progress, Tick
 
 LOG = logging.getLogger("musclefit")
-"""Told of every stage where nothing shows bars."""
+"""Receives every stage where no bars are shown."""
 
 Shares = tuple[tuple[str, float], ...]
 """Stages in the order in which they come, and what part of the time each usually takes; some may not come at all."""
@@ -60,7 +60,7 @@ class TimedStages:
         Whether to show it: as bars on standard error or in a notebook, or, where there is neither, as lines of the
         logger "musclefit".
     beside : Progress or None
-        Told of the same stages.
+        Receives the same stages.
     shares : Shares
         Of a whole that has a bar of its own.
     """

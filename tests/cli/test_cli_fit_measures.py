@@ -207,3 +207,22 @@ def test_options_of_scans_are_refused_beside_measures_and_the_other_way_round(ho
     ):
         assert main(["fit-body", *arguments]) == 2
         assert said in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_built_in_limb_gets_another_girth_and_length(tmp_path):
+    skin = next(tissue.surface for tissue in mf.upper_limb() if tissue.name == "skin")
+    (tmp_path / "skin.ply").write_bytes(ply_bytes(skin))
+    low, high = skin.vertices[:, 2].min(), skin.vertices[:, 2].max()
+    middle = skin.vertices.mean(axis=0)
+    ends = {"wrist": 0.8 * low + 0.2 * high, "top": 0.2 * low + 0.8 * high}
+    rows = [f"{name},{middle[0]},{middle[1]},{z}" for name, z in ends.items()]
+    (tmp_path / "marks.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n")
+    around = girth_at(skin, 0.5 * (low + high))
+    given = {"forearm": (1.05 * 0.6 * (high - low), "length"), "elbow": (1.08 * around, "girth")}
+    lines = [f"{name},{kind},{value},mm,wrist,top" for name, (value, kind) in given.items()]
+    (tmp_path / "m.csv").write_text("\n".join(["name,kind,value,unit,from,to", *lines]) + "\n")
+    fit = mf.fit_measures(tmp_path / "skin.ply", tmp_path / "m.csv", landmarks=tmp_path / "marks.csv", vertices=120).fit
+    np.testing.assert_allclose(fit.reached_mm, [value for value, _ in given.values()], rtol=0, atol=0.01)
+    np.testing.assert_allclose(fit.reached_mm / fit.before_mm, [1.05, 1.08], rtol=0, atol=1e-3)
+    assert fit.crossings == 0

@@ -1,12 +1,15 @@
-"""Landmarks that stand off the bones that they belong to, and which error of frame or unit would explain it."""
+"""Landmarks that stand off what they belong to, and which error of frame or unit would explain it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.winding import winding_numbers
 from musclefit.rig.handles import Handles
@@ -44,18 +47,50 @@ def off_bone_findings(handles: Handles, anatomy: Anatomy, *, subject: str) -> tu
         return ()
     worst = far[np.argsort(-off[far])][:3]
     named = ", ".join(f"{handles.names[k]} {off[k]:.3g} mm from {handles.owner[k]}" for k in worst)
-    tried = [float(_off_mm(handles.owner, handles.source * np.array(by), anatomy).max()) for _, by in _EXPLAINED]
-    best = int(np.argmin(tried))
-    likely = (
-        f"; all would be within {max(tried[best], 0.1):.2g} mm if {_EXPLAINED[best][0]}"
-        if tried[best] <= OFF_BONE_MM
-        else "; where they are no markers on the skin, check their frame, units and bones"
-    )
+    likely = _likely_cause(handles.source, lambda places: _off_mm(handles.owner, places, anatomy))
+    likely = likely or "; where they are no markers on the skin, check their frame, units and bones"
     said = (
         f"{subject}: {len(far)} of {len(handles)} landmarks stand more than {OFF_BONE_MM:g} mm outside the bones that "
         f"they belong to ({named}{', ...' if len(far) > len(worst) else ''}){likely}"
     )
     return (Finding(subject, OFF_BONES, said),)
+
+
+def off_surface_findings(
+    names: Sequence[str], places: Points, surface: TriMesh, *, subject: str, code: str
+) -> tuple[Finding, ...]:
+    """A finding where landmarks stand outside a surface by more than ``OFF_BONE_MM``; inside is as good as on it.
+
+    Parameters
+    ----------
+    names : sequence of str
+    places : (m, 3) float64, mm
+    surface : TriMesh
+    subject : str
+        What the surface is called.
+    code : str
+        Of the finding.
+    """
+    off = _outside_mm(places, surface)
+    far = np.flatnonzero(off > OFF_BONE_MM)
+    if not far.size:
+        return ()
+    worst = int(far[np.argmax(off[far])])
+    likely = _likely_cause(places, lambda tried: _outside_mm(tried, surface)) or "; check their frame and units"
+    said = (
+        f"{subject}: {len(far)} of {len(places)} landmarks stand more than {OFF_BONE_MM:g} mm outside the surface, "
+        f"{names[worst]} {off[worst]:.3g} mm{likely}"
+    )
+    return (Finding(subject, code, said),)
+
+
+def _likely_cause(places: Points, off_mm: Callable[[Points], Float]) -> str:
+    """The error of frame or unit that would put every place where it belongs; empty where none would."""
+    tried = [float(off_mm(places * np.array(by)).max()) for _, by in _EXPLAINED]
+    best = int(np.argmin(tried))
+    if tried[best] > OFF_BONE_MM:
+        return ""
+    return f"; all would be within {max(tried[best], 0.1):.2g} mm if {_EXPLAINED[best][0]}"
 
 
 def _off_mm(owners: tuple[str, ...], places: Points, anatomy: Anatomy) -> Float:
@@ -64,6 +99,13 @@ def _off_mm(owners: tuple[str, ...], places: Points, anatomy: Anatomy) -> Float:
     for bone in anatomy.of_kind(TissueKind.BONE):
         own = np.flatnonzero(np.array(owners) == bone.name)
         if own.size:
-            outside = own[winding_numbers(bone.surface, places[own]) < INSIDE]
-            off[outside] = nearest_places(places[outside], bone.surface).distances if outside.size else 0.0
+            off[own] = _outside_mm(places[own], bone.surface)
+    return off
+
+
+def _outside_mm(places: Points, surface: TriMesh) -> Float:
+    """How far each place is outside a surface, (m,) mm; 0 inside."""
+    off = np.zeros(len(places))
+    outside = np.flatnonzero(winding_numbers(surface, places) < INSIDE)
+    off[outside] = nearest_places(places[outside], surface).distances if outside.size else 0.0
     return off

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,9 @@ from musclefit.io.run_folder import require_new_folder
 from musclefit.pipeline.fit_body import BodyFit
 from musclefit.pipeline.fit_body import fit_body as fitted
 from musclefit.progress import Progress
+from musclefit.rig.off_bones import off_surface_findings
 from musclefit.vocabulary import Unit
+from musclefit.workflows.frames import in_frame
 from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
@@ -133,7 +135,7 @@ def fit_body(
     landmarks : pair of path, optional
         Landmarks on the template and on the scan, matched by name.
     frame : str
-        Of the template, for the rig.
+        Of the template, for the rig; its landmarks are converted where their file states the other one of LPS and RAS.
     median_mm, most_mm : float
         Limits of the scan's distance from the skin: the median, and what 95 % of its area keeps.
     progress : Progress, optional
@@ -157,12 +159,19 @@ def fit_body(
                 raw.path.stem, TissueKind.SKIN, vertices=raw.vertices, faces=raw.faces, source=str(raw.path)
             )
             target, more = _scan(read_surface(Path(scan), units=other))
-            places = None if landmarks is None else _landmarks(landmarks, unit, other)
+            surfaces = tissue.surface, target
+            marks = _Landmarks() if landmarks is None else _landmarks(landmarks, (unit, other), frame, surfaces)
         with stages.stage("make the cage"):
             made = cage_of(tissue.surface, vertices=vertices) if cage is None else read_cage(Path(cage), unit)
-        fit = fitted(tissue.surface, made, target, rng=np.random.default_rng(0), landmarks=places, progress=stages)
+        fit = fitted(
+            tissue.surface, made, target, rng=np.random.default_rng(0), landmarks=marks.places, progress=stages
+        )
         result = FittedBody(
-            fit, median_mm, most_mm, (*raw.findings, *findings, *more), None if out is None else Path(out)
+            fit,
+            median_mm,
+            most_mm,
+            (*raw.findings, *findings, *more, *marks.findings),
+            None if out is None else Path(out),
         )
         if out is not None:
             files = [str(Path(template).resolve()), *anatomy]
@@ -203,7 +212,25 @@ def read_cage(path: Path, unit: Unit) -> TriMesh:
     return read_surface(path, units=unit).mesh()
 
 
-def _landmarks(files: tuple[str | Path, str | Path], unit: Unit, other: Unit) -> tuple[Points, Points]:
-    table = paired(read_landmarks(files[0], units=unit), read_landmarks(files[1], units=other))
+@dataclass(frozen=True, eq=False, slots=True)
+class _Landmarks:
+    """Places on the template and on the scan, (m, 3) each, mm, and what was found of them."""
+
+    places: tuple[Points, Points] | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+def _landmarks(
+    files: tuple[str | Path, str | Path], units: tuple[Unit, Unit], frame: str, surfaces: tuple[TriMesh, TriMesh]
+) -> _Landmarks:
+    """Landmarks of template and scan by name; each lie on their own surface, so that their frames may differ."""
+    own, more = in_frame(read_landmarks(files[0], units=units[0]), frame, of="template")
+    scanned = read_landmarks(files[1], units=units[1])
+    table = paired(*(replace(each, coordinate_system="", findings=()) for each in (own, scanned)))
     assert table.targets is not None  # paired tables have them
-    return table.positions, table.targets
+    places = table.positions, table.targets
+    findings = [*more, *scanned.findings, *table.findings]
+    for file, found, surface in zip(files, places, surfaces, strict=True):
+        name = Path(file).name
+        findings += off_surface_findings(table.names, found, surface, subject=name, code="landmarks-off-surface")
+    return _Landmarks(places, tuple(findings))

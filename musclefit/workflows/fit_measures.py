@@ -27,6 +27,7 @@ from musclefit.pipeline.fit_measures import fit_measures as fitted
 from musclefit.progress import Progress
 from musclefit.vocabulary import Unit
 from musclefit.workflows.fit_body import VERTICES, read_cage
+from musclefit.workflows.frames import in_frame
 from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
@@ -169,13 +170,8 @@ def _landmarks(path: str | Path | None, unit: Unit, frame: str) -> tuple[tuple[s
     """Names and positions in the template's frame; LPS and RAS are converted where both sides are stated."""
     if path is None:
         return (), np.zeros((0, 3)), ()
-    table = read_landmarks(path, units=unit)
-    stated, findings = table.coordinate_system, table.findings
-    if stated and not frame:
-        said = f"{table.path}: states {stated}, and the template's frame is not stated (--frame); taken as they stand"
-        findings = (*findings, Finding(table.path.name, "unstated-frame", said))
-    turned = {stated, frame} == {"LPS", "RAS"}
-    return table.names, table.positions * ([-1.0, -1.0, 1.0] if turned else 1.0), findings
+    table, findings = in_frame(read_landmarks(path, units=unit), frame, of="template")
+    return table.names, table.positions, findings
 
 
 def _direction(up: str) -> Float:

@@ -1,9 +1,13 @@
-"""Which patient frame a rig is in: what it states and what is said beside it must agree."""
+"""Which patient frame coordinates are in: what is stated at several places must agree, or is converted."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from musclefit.anatomy.findings import Finding
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame, stated_frame
+from musclefit.io.formats.landmarks import LandmarkTable
 from musclefit.workflows.given import word
 
 
@@ -34,3 +38,23 @@ def frame_of(stated: str, given: Frame | str | None) -> Frame:
     if named is not None and frame is not named:
         raise InputError(f'the rig\'s anatomy.frame is "{stated}", but --frame is {frame.value}; correct one of them')
     return frame
+
+
+def in_frame(table: LandmarkTable, frame: str, *, of: str) -> tuple[LandmarkTable, tuple[Finding, ...]]:
+    """Landmarks in the frame of what they lie on, from LPS to RAS or back where both are stated.
+
+    Parameters
+    ----------
+    table : LandmarkTable
+    frame : str
+        Stated for what they lie on; empty where it is not.
+    of : str
+        What that is, for the finding where the table alone states a frame.
+    """
+    stated, findings = table.coordinate_system, table.findings
+    if stated and not frame:
+        said = f"{table.path}: states {stated}, and the {of}'s frame is not stated (--frame); taken as they stand"
+        return table, (*findings, Finding(table.path.name, "unstated-frame", said))
+    if {stated, frame} != {"LPS", "RAS"}:
+        return table, findings
+    return replace(table, positions=table.positions * [-1.0, -1.0, 1.0], coordinate_system=frame), findings

@@ -132,6 +132,32 @@ def test_landmarks_lay_a_scan_that_could_lie_either_way(tmp_path):
     np.testing.assert_allclose(fit.motion(fit.skin.vertices), body.vertices @ turn.T, atol=1.0)
 
 
+def test_landmarks_are_taken_in_the_frame_of_their_template_and_told_where_they_lie_off_it(tmp_path):
+    body = egg((200, 0, 0), (120, 60, 50), subdivisions=4)
+    skin = saved(tmp_path / "skin.ply", body)
+    places = {
+        "head": (120.0, 0.0, 0.0),
+        "left": (200.0, 60.0, 0.0),
+        "front": (200.0, 0.0, 50.0),
+        "hip": (130.0, 40.0, 20.0),
+    }
+    for name, sign, system in (("ras", 1.0, "RAS"), ("lps", -1.0, "LPS")):
+        points = [
+            {"label": key, "position": [sign * x, sign * y, z], "positionStatus": "defined"}
+            for key, (x, y, z) in places.items()
+        ]
+        markups = [{"type": "Fiducial", "coordinateSystem": system, "coordinateUnits": "mm", "controlPoints": points}]
+        (tmp_path / f"{name}.mrk.json").write_text(json.dumps({"markups": markups}))
+    ras, lps = tmp_path / "ras.mrk.json", tmp_path / "lps.mrk.json"
+    right = mf.fit_body(skin, skin, vertices=60, landmarks=(lps, ras), frame="RAS")
+    np.testing.assert_allclose(right.fit.motion.rotation, np.eye(3), atol=1e-6)
+    assert [found.code for found in right.findings] == []
+    wrong = mf.fit_body(skin, skin, vertices=60, landmarks=(lps, lps), frame="RAS")
+    off = [found for found in wrong.findings if found.code == "landmarks-off-surface"]
+    assert len(off) == 1
+    assert "if x and y had the other sign, as RAS has against LPS" in off[0].message
+
+
 def test_what_cannot_be_fitted_is_refused_and_nothing_is_written(skin, tmp_path, capsys):
     good = saved(tmp_path / "scan.ply", scan(voxel_mm=20.0))
     huge = saved(tmp_path / "huge.ply", scan(voxel_mm=20.0), scale=1000.0)

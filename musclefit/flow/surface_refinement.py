@@ -26,9 +26,11 @@ MAX_CROSSING_ROUNDS = 24
 SHORTEST_SHARE = 0.02
 """Edges shorter than this share of the chord tolerance are not split for that: what crosses there are slivers."""
 
-PATIENCE, MULTIPLIED = 8, 32
+PATIENCE, MULTIPLIED, MANY = 16, 32, 2000
 """Halving is given up, and taken back to where the fewest triangles crossed, after so many rounds in a row that left no
-fewer than the round before, or where it left this many times the fewest."""
+fewer than the round before, or where it left this many times the fewest and more pairs than are soon looked at. Where
+sheets all but touch along a strip the pairs multiply at first: long triangles become many before they become straight
+enough."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -228,7 +230,7 @@ class _Refinement:
                 idle[name] = idle.get(name, 0) + 1 if count >= last.get(name, count + 1) else 0
                 last[name] = count
                 edges, crossing = _longest_of_crossing(work, pairs, shortest)
-                if crossing.any() and idle[name] < PATIENCE and count < MULTIPLIED * fewest[name][0]:
+                if crossing.any() and idle[name] < PATIENCE and count < max(MULTIPLIED * fewest[name][0], MANY):
                     marked.append((work, edges, crossing))
             if not marked or done == MAX_CROSSING_ROUNDS or not self._split(marked, split_edges):
                 break

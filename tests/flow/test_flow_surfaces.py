@@ -191,3 +191,27 @@ def test_edges_far_below_the_chord_tolerance_are_not_halved(monkeypatch: pytest.
     again = carried_finely(ANATOMY, deformation, tolerance_mm=0.5, longest_mm=20.0, whole=NONE, progress=Silent())
     assert again.splits == whole.splits
     assert again.crossings_left == whole.crossings_left
+
+
+class Saddle(Deformation):
+    """y grows by x z / 50: two triangles of a long face with one diagonal come to lie above those with the other."""
+
+    def with_jacobian(self, points):
+        x, y, z = points.T
+        jacobians = np.tile(np.eye(3), (len(points), 1, 1))
+        jacobians[:, 1, 0], jacobians[:, 1, 2] = 0.02 * z, 0.02 * x
+        return np.column_stack([x, y + 0.02 * x * z, z]), jacobians
+
+
+def test_sheets_that_all_but_touch_part_though_their_crossings_multiply_at_first() -> None:
+    """Long faces 2e-5 mm apart: as they are halved more and more pairs cross, until the triangles are small enough."""
+    one = block("one", (0, -1, 0), (8, 0, 0.16)).surface
+    other = block("other", (-1.3, 2e-5, -0.03), (8.9, 1, 0.15)).surface
+    anatomy = Anatomy((Tissue("muscle", TissueKind.MUSCLE, TriMesh.together([one, other])),), "test")
+    map_ = Saddle((), (), Status.CONVERGED)
+    coarse = carried(anatomy, map_).deformed["muscle"].surface
+    assert len(self_crossings(coarse)) > 0, "the test needs diagonals that cross"
+    moved = carried_finely(anatomy, map_, tolerance_mm=0.5, longest_mm=100.0, whole=NONE, progress=Silent())
+    assert moved.crossings_left == 0
+    assert len(self_crossings(moved.deformed["muscle"].surface)) == 0
+    assert sum(moved.splits.values()) < 3000

@@ -97,6 +97,18 @@ RUNS = {
         "{out}/hip/rig.toml",
         prepare=("examples/regions.py", "hip", "--prepare-only", "--out", "{out}"),
     ),
+    "shoulder": Run(
+        "shoulder: 25°",
+        "repaired",
+        "{out}/shoulder/rig.toml",
+        prepare=("examples/regions.py", "shoulder", "--prepare-only", "--out", "{out}"),
+    ),
+    "knee": Run(
+        "knee: 9°",
+        "repaired",
+        "{out}/knee/rig.toml",
+        prepare=("examples/regions.py", "knee", "--prepare-only", "--out", "{out}"),
+    ),
 }
 """Name -> a run; names are what `run` and `take` are given."""
 

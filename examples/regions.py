@@ -1,6 +1,6 @@
 """Regions of a whole body that no setting was made for, from its raw surfaces to a checked pose.
 
-    MUSCLEFIT_DATA=... python examples/regions.py [ankle] [wrist] [hip] --out DIR
+    MUSCLEFIT_DATA=... python examples/regions.py [ankle] [wrist] [hip] [shoulder] [knee] --out DIR
 
 For each region its surfaces are taken from the body as they are and repaired by `musclefit repair`, a joint is fitted
 to two of its bones, and a rig of ten lines, without a single setting, is run. The folder then holds for each region
@@ -140,6 +140,38 @@ REGIONS = {
         joint=("right_hip_bone_*", "right_femur_*"),
         kind=JointKind.BALL,
         pose={"hip_x_deg": 20.0},
+    ),
+    "shoulder": Region(
+        fixed=("right_scapula_*", "right_clavicle_*"),
+        moving=("right_humerus_*",),
+        soft=(
+            "*deltoid*",
+            "*spinatus*",
+            "*_teres_m*",
+            "*subscapularis*",
+            "*pectoralis*",
+            "*latissimus_dorsi*",
+            "*coracobrachialis*",
+            "*biceps_brachii*",
+            "*triceps_brachii*",
+            "*trapezius*",
+            "*serratus_anterior*",
+        ),
+        joint=("right_scapula_*", "right_humerus_*"),
+        kind=JointKind.BALL,
+        pose={"shoulder_x_deg": 25.0},
+    ),
+    "knee": Region(
+        fixed=("right_femur_*",),
+        moving=("right_tibia_*", "right_fibula_*"),
+        soft=(
+            *("*gastrocnemius*", "*soleus*", "*plantaris*", "*popliteus*", "*tibialis*", "*fibularis*"),
+            *("*vastus*", "*rectus_femoris*", "*biceps_femoris*", "*semitendinosus*", "*semimembranosus*"),
+            *("*sartorius*", "*gracilis*", "*_of_right_knee*", "*meniscus*", "*patella*"),
+        ),
+        joint=("right_femur_*", "right_tibia_*"),
+        kind=JointKind.HINGE,
+        pose={"knee_deg": 9.0},
     ),
 }
 """Of the right side."""

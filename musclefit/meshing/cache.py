@@ -39,7 +39,17 @@ CACHE_FINDING = "tet-cache"
 
 _LAYOUT = "musclefit tets 4"
 _MAKING = ".tets-"
-_UNREADABLE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MeshError)
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    EOFError,
+    NotImplementedError,  # of zipfile, at flags that it does not know
+    zipfile.BadZipFile,
+    zlib.error,
+    MeshError,
+)
 
 
 def default_limit_mb() -> float:

@@ -68,6 +68,12 @@ def _raw(name: str) -> tuple[str, ...]:
     return ("examples/measure.py", "prepare", name, "{out}")
 
 
+def _region(name: str, title: str, *, settings: tuple[str, ...] = ()) -> Run:
+    """A region of the whole body, made by `examples/regions.py`."""
+    prepare = ("examples/regions.py", name, "--prepare-only", "--out", "{out}")
+    return Run(title, "repaired", f"{{out}}/{name}/rig.toml", settings=settings, prepare=prepare)
+
+
 _UNTUNED = "${MUSCLEFIT_DATA}/untuned"
 
 RUNS = {
@@ -78,37 +84,11 @@ RUNS = {
     "leg": Run("leg: knee 60°, ankle 20°", "rigid", "leg_jump", settings=("bones.lock=true",)),
     "finger_raw": Run("finger, raw surfaces", "repaired", "{out}/rig.toml", prepare=_raw("finger")),
     "left_arm_raw": Run("left arm, raw surfaces", "repaired", "{out}/rig.toml", prepare=_raw("left_arm")),
-    "ankle": Run(
-        "ankle and foot: 9°",
-        "repaired",
-        "{out}/ankle/rig.toml",
-        settings=("drive.pose.ankle_deg=9",),
-        prepare=("examples/regions.py", "ankle", "--prepare-only", "--out", "{out}"),
-    ),
-    "wrist": Run(
-        "wrist and hand: 20°",
-        "repaired",
-        "{out}/wrist/rig.toml",
-        prepare=("examples/regions.py", "wrist", "--prepare-only", "--out", "{out}"),
-    ),
-    "hip": Run(
-        "hip: 20°",
-        "repaired",
-        "{out}/hip/rig.toml",
-        prepare=("examples/regions.py", "hip", "--prepare-only", "--out", "{out}"),
-    ),
-    "shoulder": Run(
-        "shoulder: 25°",
-        "repaired",
-        "{out}/shoulder/rig.toml",
-        prepare=("examples/regions.py", "shoulder", "--prepare-only", "--out", "{out}"),
-    ),
-    "knee": Run(
-        "knee: 9°",
-        "repaired",
-        "{out}/knee/rig.toml",
-        prepare=("examples/regions.py", "knee", "--prepare-only", "--out", "{out}"),
-    ),
+    "ankle": _region("ankle", "ankle and foot: 9°", settings=("drive.pose.ankle_deg=9",)),
+    "wrist": _region("wrist", "wrist and hand: 20°"),
+    "hip": _region("hip", "hip: 20°"),
+    "shoulder": _region("shoulder", "shoulder: 25°"),
+    "knee": _region("knee", "knee: 9°"),
 }
 """Name -> a run; names are what `run` and `take` are given."""
 

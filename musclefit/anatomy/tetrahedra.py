@@ -21,12 +21,12 @@ from musclefit.anatomy.mesh_fidelity import (
     surface_distances,
 )
 from musclefit.anatomy.mesh_rules import FILLER, LayerRules, diagonal_mm
-from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Bool, Faces, Float, Int, Points, Tets, frozen
 from musclefit.geometry.measures import enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TetMesh
-from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.queries.winding import inside_surface
 from musclefit.geometry.tets.orientation import orientations
 from musclefit.geometry.tets.sizing import SizingField
 from musclefit.geometry.tets.topology import TetFaces, tet_faces
@@ -185,7 +185,7 @@ def _labelled(
     faces = tet_faces(tets)
     alone: dict[int, int] = {}
     for done, index in enumerate(reversed(rules.innermost_first(anatomy)), start=1):
-        found = _inside(anatomy.tissues[index], barycentres)
+        found = inside_surface(anatomy.tissues[index].surface, barycentres)
         inside[index] = joined(faces, inside=found)
         alone[index] = int(found.sum() - inside[index].sum())
         labels[inside[index]] = index
@@ -269,11 +269,3 @@ def surface_faces(anatomy: Anatomy) -> Faces:
     """(F, 3) faces of all tissues, into ``anatomy.vertices()``."""
     starts = [part.start for part in anatomy.slices().values()]
     return np.concatenate([t.surface.faces + start for t, start in zip(anatomy, starts, strict=True)])
-
-
-def _inside(tissue: Tissue, points: Points) -> Bool:
-    """Which points a tissue's surface winds around."""
-    corners = tissue.surface.vertices
-    inside: Bool = ((points >= corners.min(axis=0)) & (points <= corners.max(axis=0))).all(axis=1)
-    inside[inside] = winding_numbers(tissue.surface, points[inside]) > 0.5
-    return inside

@@ -22,7 +22,7 @@ from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import DistanceTree
 from musclefit.geometry.queries.solids import pieces
-from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.queries.winding import inside_surface
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.samples import surface_places
 from musclefit.progress import Progress, Silent
@@ -235,9 +235,7 @@ class _Solid:
         """(N,) which points are within."""
         held: Bool = np.zeros(len(points), dtype=bool)
         for part in self._parts:
-            low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
-            near = np.flatnonzero(~held & ((points > low) & (points < high)).all(axis=1))
-            held[near] = winding_numbers(part, points[near]) > 0.5
+            held[~held] = inside_surface(part, points[~held])
         return held
 
 

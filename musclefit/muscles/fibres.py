@@ -115,10 +115,7 @@ def laplace_fibres(mesh: TetMesh, *, origin: TriMesh, insertion: TriMesh, within
     """
     begins, ends = end_vertices(mesh, origin, insertion, within_mm=within_mm)
     gradients, volumes = shape_gradients(mesh.vertices, mesh.tets), signed_volumes(mesh.vertices, mesh.tets)
-    pieces = _pieces(mesh.tets, len(mesh.vertices))
-    reached = np.intersect1d(pieces[begins], pieces[ends])
-    if not len(reached):
-        raise MeshError("no piece of the tetrahedra reaches from origin to insertion; mesh it finer")
+    pieces, reached = _reaching(mesh, begins, ends)
     inside = np.isin(pieces, reached)
     stiffness = laplacian(mesh.tets, gradients, volumes, count=len(mesh.vertices))
     held = _held(stiffness, inside, begins, ends)
@@ -167,10 +164,7 @@ def sheet_fibres(
     ]
     begins, ends = (share > LEAST_ACTED * share.max() for share in shares)
     gradients, volumes = shape_gradients(mesh.vertices, mesh.tets), signed_volumes(mesh.vertices, mesh.tets)
-    pieces = _pieces(mesh.tets, len(mesh.vertices))
-    reached = np.intersect1d(pieces[begins], pieces[ends])
-    if not len(reached):
-        raise MeshError("no piece of the tetrahedra reaches from origin to insertion; mesh it finer")
+    pieces, reached = _reaching(mesh, begins, ends)
     inside = np.isin(pieces, reached)
     stiffness = laplacian(mesh.tets, gradients, volumes, count=len(mesh.vertices))
     even = _even_flux(stiffness, pieces, reached, (shares[0], shares[1]))
@@ -329,6 +323,21 @@ def laplacian(tets: Tets, gradients: Float, volumes: Float, *, count: int) -> cs
     entries = np.einsum("kai,kbi,k->kab", gradients, gradients, volumes)
     rows, columns = np.repeat(tets, 4, axis=1), np.tile(tets, (1, 4))
     return csc_array(coo_array((entries.ravel(), (rows.ravel(), columns.ravel())), shape=(count, count)))
+
+
+def _reaching(mesh: TetMesh, begins: Bool, ends: Bool) -> tuple[Int, Int]:
+    """The piece of each vertex, and the pieces that reach both ends.
+
+    Raises
+    ------
+    MeshError
+        None does.
+    """
+    pieces = _pieces(mesh.tets, len(mesh.vertices))
+    reached = np.intersect1d(pieces[begins], pieces[ends])
+    if not len(reached):
+        raise MeshError("no piece of the tetrahedra reaches from origin to insertion; mesh it finer")
+    return pieces, reached
 
 
 def _pieces(tets: Tets, count: int) -> Int:

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from musclefit.geometry.arrays import Bool, Int, Points
 from musclefit.geometry.measures import signed_volumes
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.queries.winding import winding_numbers
+from musclefit.geometry.queries.winding import inside_surface
 from musclefit.geometry.surfaces.sections import Sections
 from musclefit.muscles.fibres import FibreField
 from musclefit.muscles.streamlines import Streamlines, evenly_thinned
@@ -42,9 +42,6 @@ SPACING_MM = 0.5
 """Streamlines are asked at least so often which muscle they run in; where they leave it is found by halving."""
 
 HALVINGS = 12
-
-_INSIDE = 0.5
-"""Winding number of a muscle's surface from which a place is inside."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -143,7 +140,7 @@ def by_muscle(
         owned, cut = _lines_inside(one.lines, may)
         for name, own in owned.items():
             lines[name] += own
-        within = {name: _inside(surface, one.places) for name, surface in may.items()}
+        within = {name: inside_surface(surface, one.places) for name, surface in may.items()}
         nowhere = ~np.any([np.zeros(len(one.places), dtype=bool), *within.values()], axis=0)
         for name, inside in within.items():
             chosen = inside | nowhere
@@ -271,7 +268,7 @@ def followed_lines(
         for sense in (1.0, -1.0)
     ]
     lines = [np.concatenate([backward[:0:-1], forward]) for forward, backward in zip(*ways, strict=True)]
-    inside = _split_as(_inside(surface, np.concatenate(lines)), lines)
+    inside = _split_as(inside_surface(surface, np.concatenate(lines)), lines)
     runs = [_run(line, own, at=len(way) - 1) for line, own, way in zip(lines, inside, ways[1], strict=True)]
     cut = _cut(lines, runs, surface)
     whole = [run[0] > 0 and run[1] < len(line) - 1 for run, line in zip(runs, lines, strict=True)]
@@ -319,7 +316,7 @@ def _lines_inside(lines: Sequence[Points], muscles: Mapping[str, TriMesh]) -> tu
     points = np.concatenate(fine)
     longest = [("", (0, -1), 0.0) for _ in fine]
     for name, surface in muscles.items():
-        for number, inside in enumerate(_split_as(_inside(surface, points), fine)):
+        for number, inside in enumerate(_split_as(inside_surface(surface, points), fine)):
             run = _run(fine[number], inside)
             length = _length(fine[number][run[0] : run[1] + 1])
             if length > longest[number][2]:
@@ -358,7 +355,7 @@ def _cut(lines: Sequence[Points], runs: Sequence[tuple[int, int]], surface: TriM
     inner, outer = (np.array([pair[k] for pair in pairs]).reshape(-1, 3) for k in (0, 1))
     for _ in range(HALVINGS):
         middle = 0.5 * (inner + outer)
-        within = _inside(surface, middle)[:, None]
+        within = inside_surface(surface, middle)[:, None]
         inner, outer = np.where(within, middle, inner), np.where(within, outer, middle)
     crossings, found = iter(inner), []
     for line, (begin, end) in zip(lines, runs, strict=True):
@@ -379,15 +376,6 @@ def _runs(inside: Bool) -> tuple[Int, Int]:
     """First and last numbers of runs of points that are inside."""
     changes = np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8))
     return np.flatnonzero(changes == 1), np.flatnonzero(changes == -1) - 1
-
-
-def _inside(surface: TriMesh, places: Points) -> Bool:
-    found = np.zeros(len(places), dtype=bool)
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    near = np.flatnonzero(((places >= low) & (places <= high)).all(axis=1))
-    if len(near):
-        found[near] = winding_numbers(surface, places[near]) > _INSIDE
-    return found
 
 
 def _subdivided(line: Points) -> Points:

@@ -23,6 +23,9 @@ INSIDE = 0.5
 OFF_BONES = "landmarks-off-bones"
 """Code of the finding."""
 
+OFF_SURFACE = "landmarks-off-surface"
+"""And of that of any surface."""
+
 _EXPLAINED = (
     ("x and y had the other sign, as RAS has against LPS", (-1.0, -1.0, 1.0)),
     ("x had the other sign: a mirror, or the other side of the body", (-1.0, 1.0, 1.0)),
@@ -57,7 +60,7 @@ def off_bone_findings(handles: Handles, anatomy: Anatomy, *, subject: str) -> tu
 
 
 def off_surface_findings(
-    names: Sequence[str], places: Points, surface: TriMesh, *, subject: str, code: str
+    names: Sequence[str], places: Points, surface: TriMesh, *, subject: str
 ) -> tuple[Finding, ...]:
     """A finding where landmarks stand outside a surface by more than ``OFF_BONE_MM``; inside is as good as on it.
 
@@ -67,9 +70,7 @@ def off_surface_findings(
     places : (m, 3) float64, mm
     surface : TriMesh
     subject : str
-        What the surface is called.
-    code : str
-        Of the finding.
+        What the landmarks are called.
     """
     off = _outside_mm(places, surface)
     far = np.flatnonzero(off > OFF_BONE_MM)
@@ -81,7 +82,7 @@ def off_surface_findings(
         f"{subject}: {len(far)} of {len(places)} landmarks stand more than {OFF_BONE_MM:g} mm outside the surface, "
         f"{names[worst]} {off[worst]:.3g} mm{likely}"
     )
-    return (Finding(subject, code, said),)
+    return (Finding(subject, OFF_SURFACE, said),)
 
 
 def _likely_cause(places: Points, off_mm: Callable[[Points], Float]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from musclefit.anatomy.cleaning import take_in
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.model import TissueKind
+from musclefit.anatomy.model import Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.measures import area_vectors, enclosed_volume
@@ -154,15 +154,12 @@ def fit_body(
     unit, other = word(Unit, units, what="units"), word(Unit, scan_units, what="scan_units")
     with watched(progress) as stages:
         with stages.stage("read the surfaces"):
-            raw = read_surface(Path(template), units=unit)
-            tissue, findings = take_in(
-                raw.path.stem, TissueKind.SKIN, vertices=raw.vertices, faces=raw.faces, source=str(raw.path)
-            )
+            tissue, findings = read_template(Path(template), unit)
             target, more = _scan(read_surface(Path(scan), units=other))
             surfaces = tissue.surface, target
             marks = _Landmarks() if landmarks is None else _landmarks(landmarks, (unit, other), frame, surfaces)
         with stages.stage("make the cage"):
-            made = cage_of(tissue.surface, vertices=vertices) if cage is None else read_cage(Path(cage), unit)
+            made = cage_around(tissue.surface, cage, vertices=vertices, unit=unit)
         fit = fitted(
             tissue.surface, made, target, rng=np.random.default_rng(0), landmarks=marks.places, progress=stages
         )
@@ -170,7 +167,7 @@ def fit_body(
             fit,
             median_mm,
             most_mm,
-            (*raw.findings, *findings, *more, *marks.findings),
+            (*findings, *more, *marks.findings),
             None if out is None else Path(out),
         )
         if out is not None:
@@ -205,8 +202,20 @@ def _scan(raw: RawSurface) -> tuple[TriMesh, tuple[Finding, ...]]:
     return TriMesh(joined.vertices, joined.faces[~flat]), tuple(found)
 
 
-def read_cage(path: Path, unit: Unit) -> TriMesh:
-    """A cage of a file; MeshError where its format does not share vertices."""
+def read_template(path: Path, unit: Unit) -> tuple[Tissue, tuple[Finding, ...]]:
+    """A template's skin, taken in as every anatomy is, and what was noticed in its file."""
+    raw = read_surface(path, units=unit)
+    tissue, findings = take_in(
+        raw.path.stem, TissueKind.SKIN, vertices=raw.vertices, faces=raw.faces, source=str(raw.path)
+    )
+    return tissue, (*raw.findings, *findings)
+
+
+def cage_around(skin: TriMesh, given: str | Path | None, *, vertices: int, unit: Unit) -> TriMesh:
+    """The cage of a file, or one that is made; MeshError where the file's format does not share vertices."""
+    if given is None:
+        return cage_of(skin, vertices=vertices)
+    path = Path(given)
     if path.suffix.lower() == ".stl":
         raise MeshError(f"{path}: in STL every triangle has its own vertices; give the cage as PLY or OBJ")
     return read_surface(path, units=unit).mesh()
@@ -231,6 +240,5 @@ def _landmarks(
     places = table.positions, table.targets
     findings = [*more, *scanned.findings, *table.findings]
     for file, found, surface in zip(files, places, surfaces, strict=True):
-        name = Path(file).name
-        findings += off_surface_findings(table.names, found, surface, subject=name, code="landmarks-off-surface")
+        findings += off_surface_findings(table.names, found, surface, subject=Path(file).name)
     return _Landmarks(places, tuple(findings))

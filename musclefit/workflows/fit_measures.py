@@ -9,14 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from musclefit.anatomy.cleaning import take_in
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.model import TissueKind
 from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.measures import enclosed_volume
-from musclefit.geometry.surfaces.cages import cage_of
-from musclefit.io.anatomy import read_surface
 from musclefit.io.body_fits import write_measure_fit
 from musclefit.io.formats.body_measures import read_body_measures
 from musclefit.io.formats.landmarks import read_landmarks
@@ -26,7 +22,7 @@ from musclefit.pipeline.fit_measures import MeasureFit
 from musclefit.pipeline.fit_measures import fit_measures as fitted
 from musclefit.progress import Progress
 from musclefit.vocabulary import Unit
-from musclefit.workflows.fit_body import VERTICES, read_cage
+from musclefit.workflows.fit_body import VERTICES, cage_around, read_template
 from musclefit.workflows.frames import in_frame
 from musclefit.workflows.given import word
 from musclefit.workflows.progress import watched
@@ -149,16 +145,13 @@ def fit_measures(
     with watched(progress) as stages:
         with stages.stage("read the files"):
             wanted = read_body_measures(measures)
-            raw = read_surface(Path(template), units=unit)
-            tissue, findings = take_in(
-                raw.path.stem, TissueKind.SKIN, vertices=raw.vertices, faces=raw.faces, source=str(raw.path)
-            )
+            tissue, findings = read_template(Path(template), unit)
             names, places, more = _landmarks(landmarks, unit, frame)
             body = MeasuredBody(tissue.surface, names, places, direction)
         with stages.stage("make the cage"):
-            made = cage_of(tissue.surface, vertices=vertices) if cage is None else read_cage(Path(cage), unit)
+            made = cage_around(tissue.surface, cage, vertices=vertices, unit=unit)
         fit = fitted(body, made, wanted, progress=stages)
-        result = MeasuredFit(fit, (*raw.findings, *findings, *more), None if out is None else Path(out))
+        result = MeasuredFit(fit, (*findings, *more), None if out is None else Path(out))
         if out is not None:
             files = [str(Path(template).resolve()), *anatomy]
             title = f"{Path(template).stem} with the measures of {Path(measures).stem}"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from musclefit.anatomy.findings import Finding
 from musclefit.errors import InputError
+from musclefit.geometry.images import grids
 from musclefit.geometry.images.grids import Frame, stated_frame
 from musclefit.io.formats.landmarks import LandmarkTable
 from musclefit.workflows.given import word
@@ -47,14 +48,15 @@ def in_frame(table: LandmarkTable, frame: str, *, of: str) -> tuple[LandmarkTabl
     ----------
     table : LandmarkTable
     frame : str
-        Stated for what they lie on; empty where it is not.
+        Stated for what they lie on, as `stated_frame` reads it.
     of : str
         What that is, for the finding where the table alone states a frame.
     """
-    stated, findings = table.coordinate_system, table.findings
-    if stated and not frame:
-        said = f"{table.path}: states {stated}, and the {of}'s frame is not stated (--frame); taken as they stand"
-        return table, (*findings, Finding(table.path.name, "unstated-frame", said))
-    if {stated, frame} != {"LPS", "RAS"}:
-        return table, findings
-    return replace(table, positions=table.positions * [-1.0, -1.0, 1.0], coordinate_system=frame), findings
+    stated, there = stated_frame(table.coordinate_system), stated_frame(frame)
+    if stated is None:
+        return table, table.findings
+    if there is None:
+        said = f"{table.path}: states {stated.name}, and the {of}'s frame is not stated (--frame); taken as they stand"
+        return table, (*table.findings, Finding(table.path.name, "unstated-frame", said))
+    positions = grids.in_frame(table.positions, of=stated, to=there)
+    return replace(table, positions=positions, coordinate_system=there.name), table.findings

@@ -132,7 +132,8 @@ def test_landmarks_lay_a_scan_that_could_lie_either_way(tmp_path):
     np.testing.assert_allclose(fit.motion(fit.skin.vertices), body.vertices @ turn.T, atol=1.0)
 
 
-def test_landmarks_are_taken_in_the_frame_of_their_template_and_told_where_they_lie_off_it(tmp_path):
+@pytest.mark.parametrize("frame", ["RAS", "scanner (RAS), mm"])
+def test_landmarks_are_taken_in_the_frame_of_their_template_and_told_where_they_lie_off_it(tmp_path, frame):
     body = egg((200, 0, 0), (120, 60, 50), subdivisions=4)
     skin = saved(tmp_path / "skin.ply", body)
     places = {
@@ -149,10 +150,10 @@ def test_landmarks_are_taken_in_the_frame_of_their_template_and_told_where_they_
         markups = [{"type": "Fiducial", "coordinateSystem": system, "coordinateUnits": "mm", "controlPoints": points}]
         (tmp_path / f"{name}.mrk.json").write_text(json.dumps({"markups": markups}))
     ras, lps = tmp_path / "ras.mrk.json", tmp_path / "lps.mrk.json"
-    right = mf.fit_body(skin, skin, vertices=60, landmarks=(lps, ras), frame="RAS")
+    right = mf.fit_body(skin, skin, vertices=60, landmarks=(lps, ras), frame=frame)
     np.testing.assert_allclose(right.fit.motion.rotation, np.eye(3), atol=1e-6)
     assert [found.code for found in right.findings] == []
-    wrong = mf.fit_body(skin, skin, vertices=60, landmarks=(lps, lps), frame="RAS")
+    wrong = mf.fit_body(skin, skin, vertices=60, landmarks=(lps, lps), frame=frame)
     off = [found for found in wrong.findings if found.code == "landmarks-off-surface"]
     assert len(off) == 1
     assert "if x and y had the other sign, as RAS has against LPS" in off[0].message

@@ -75,6 +75,12 @@ def test_findings_come_back_from_the_cache(tmp_path: Path) -> None:
     assert first.findings == again.findings
 
 
+def flagged(data: bytes, bit: int) -> bytes:
+    """A zip file with one more flag set in the first entry of its directory."""
+    place = data.index(b"PK\x01\x02") + 8
+    return data[:place] + bytes([data[place] | bit]) + data[place + 1 :]
+
+
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
     "damage",
@@ -83,8 +89,9 @@ def test_findings_come_back_from_the_cache(tmp_path: Path) -> None:
         lambda _: b"not a zip file at all",
         lambda data: data[: len(data) // 2],
         lambda data: data[:400] + bytes(b ^ 0xFF for b in data[400:900]) + data[900:],
+        lambda data: flagged(data, 0x20),  # "compressed patched data", which zipfile does not know
     ],
-    ids=["empty", "foreign", "cut", "flipped"],
+    ids=["empty", "foreign", "cut", "flipped", "patched"],
 )
 def test_a_damaged_entry_is_reported_and_made_anew(tmp_path: Path, damage) -> None:
     cache = TetCache(tmp_path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.meshes import TriMesh
 
 
@@ -33,6 +33,14 @@ def winding_numbers(mesh: TriMesh, points: Points) -> Float:
     vertices, places = _about_the_middle(mesh, points)
     numbers: Float = igl.fast_winding_number(vertices, mesh.faces, places)
     return numbers
+
+
+def inside_surface(mesh: TriMesh, points: Points) -> Bool:
+    """(N,) which of (N, 3) points, mm, a closed surface winds around; those outside its box are not asked about."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    found: Bool = ((points >= low) & (points <= high)).all(axis=1)
+    found[found] = winding_numbers(mesh, points[found]) > 0.5
+    return found
 
 
 def exact_winding_numbers(mesh: TriMesh, points: Points) -> Float:

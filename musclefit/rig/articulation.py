@@ -36,13 +36,17 @@ WIDEST_GAP = 3.0
 """Times that distance: bones whose smallest gap is wider do not meet."""
 
 SAMPLES_WITHIN = 5.0
-"""The surfaces are cut until their triangles reach no farther than that distance over this from their corners."""
+"""The surfaces are cut until their triangles reach no farther from their corners than the widest reach over this and
+`WIDEST_GAP`; finer where bones are small (`FINER`)."""
 
 FACING = 0.5
 """Least cosine between the surface's normal and the way to the other bone."""
 
 FEWEST = 30
-"""Samples that a fit needs of each bone; as they are cut alike, they stand for an area."""
+"""Samples that a fit needs of each bone where they face each other."""
+
+FINER = 3
+"""Times that the surfaces are cut twice as fine where bones are too small for so many samples."""
 
 AROUND = 1.5
 """How far the bones' ends reach around the middle of what faces each other, in times its root mean square radius: of a
@@ -222,13 +226,29 @@ def fitted_joint(fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm:
 # Where the bones face each other
 
 
-def _near_triangles(own: TriMesh, other: TriMesh, *, within_mm: float) -> tuple[Points, Points, Float, Float, Float]:
+_Near = tuple[Points, Points, Float, Float, Float]
+
+
+def _near_each_other(fixed: TriMesh, moving: TriMesh, within_mm: float, spacing_mm: float) -> list[_Near]:
+    return [
+        _near_triangles(own, other, within_mm=within_mm, spacing_mm=spacing_mm)
+        for own, other in ((fixed, moving), (moving, fixed))
+    ]
+
+
+def _facing(near: _Near, nearer_mm: float) -> Bool:
+    """Which of the triangles are so near to the other bone and look towards it."""
+    facing: Bool = (near[3] < nearer_mm) & (near[4] > FACING)
+    return facing
+
+
+def _near_triangles(own: TriMesh, other: TriMesh, *, within_mm: float, spacing_mm: float) -> _Near:
     """Middles, outward normals and areas of a surface's small triangles near another one, distance and cosine to it.
 
     The surface is cut to samples (`surface_samples`) first, so that they are alike whatever triangles it has.
     """
     low, high = other.vertices.min(axis=0) - within_mm, other.vertices.max(axis=0) + within_mm
-    middles, normals, areas = _triangles(own, low, high, spacing_mm=within_mm / WIDEST_GAP / SAMPLES_WITHIN)
+    middles, normals, areas = _triangles(own, low, high, spacing_mm=spacing_mm)
     if not len(middles):
         return middles, normals, areas, areas, areas
     places = nearest_places(middles, other)
@@ -251,7 +271,8 @@ def _triangles(own: TriMesh, low: Points, high: Points, *, spacing_mm: float) ->
 
 def _ends(fixed: TriMesh, moving: TriMesh, within_mm: float) -> tuple[list[_End], _Region, float]:
     reach = (1.0 + WIDEST_GAP) * within_mm
-    near = [_near_triangles(own, other, within_mm=reach) for own, other in ((fixed, moving), (moving, fixed))]
+    spacing = reach / WIDEST_GAP / SAMPLES_WITHIN
+    near = _near_each_other(fixed, moving, reach, spacing)
     gap = min((float(found[3].min()) for found in near if len(found[3])), default=np.inf)
     if not gap <= WIDEST_GAP * within_mm:
         said = f"{gap:.3g} mm" if np.isfinite(gap) else f"more than {reach:g} mm"
@@ -259,7 +280,13 @@ def _ends(fixed: TriMesh, moving: TriMesh, within_mm: float) -> tuple[list[_End]
             f"the two bones are {said} apart where they are closest, more than {WIDEST_GAP * within_mm:g} mm; give "
             "bones that meet in a joint, or a larger distance"
         )
-    facing = [(found[3] < gap + within_mm) & (found[4] > FACING) for found in near]
+    facing = [_facing(found, gap + within_mm) for found in near]
+    for _ in range(FINER):
+        if min(there.sum() for there in facing) >= FEWEST:
+            break
+        spacing /= 2.0
+        near = _near_each_other(fixed, moving, reach, spacing)
+        facing = [_facing(found, gap + within_mm) for found in near]
     for of, found, there in zip(("fixed", "moving"), near, facing, strict=True):
         if there.sum() < FEWEST:
             raise InputError(

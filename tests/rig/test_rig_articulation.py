@@ -73,6 +73,16 @@ def test_bones_that_say_different_axes_are_not_believed() -> None:
     assert not JointFit("a", "b", found).believable
 
 
+def test_bones_as_small_as_the_end_of_a_finger_are_fitted() -> None:
+    """Too few samples at the spacing that serves an elbow: the surfaces are cut finer."""
+    known = known_joint("ball", moved=False, noise_mm=0.0, cuts=(4, 4))
+    share = 0.08
+    fixed, moving = (TriMesh(share * bone.vertices, bone.faces) for bone in (known.fixed, known.moving))
+    found = fitted_joint(fixed, moving, kind=JointKind.BALL)
+    assert found.sides[0].facing_mm2 < 20.0
+    assert np.linalg.norm(found.centre - share * known.centre) < 0.5
+
+
 def test_bones_that_do_not_meet_are_refused() -> None:
     known = known_joint("ball", moved=False)
     away = TriMesh(known.moving.vertices - np.array([0.0, 0.0, 60.0]), known.moving.faces)

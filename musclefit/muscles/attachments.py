@@ -14,7 +14,7 @@ sample than the distance that counts as close, and for clearances than `CLEARANC
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -203,8 +203,9 @@ def find_ends(
     stated: Sequence[StatedEnd] = (),
     travel: Mapping[str, float] | None = None,
     lengthwise: Mapping[str, Lengthwise] = _UNMEASURED,
+    muscles: Collection[str] = (),
 ) -> tuple[MuscleEnds, ...]:
-    """Both ends of every muscle of an anatomy at rest.
+    """Both ends of the muscles of an anatomy at rest.
 
     Parameters
     ----------
@@ -219,6 +220,8 @@ def find_ends(
         the origin.
     lengthwise : mapping of muscle to Lengthwise
         Of muscles whose sections are known already.
+    muscles : collection of str
+        Names of those to look at; all without any. What is stated of the others is checked against the anatomy alone.
 
     Raises
     ------
@@ -228,9 +231,9 @@ def find_ends(
     bones = anatomy.of_kind(TissueKind.BONE)
     trees = [DistanceTree(bone.surface) for bone in bones]
     by_muscle: dict[str, dict[End, StatedEnd]] = {}
-    muscles = {muscle.name: muscle for muscle in anatomy.of_kind(TissueKind.MUSCLE)}
+    there = {muscle.name: muscle for muscle in anatomy.of_kind(TissueKind.MUSCLE)}
     for said in stated:
-        _require_known(said, muscles=muscles, bones=[bone.name for bone in bones])
+        _require_known(said, muscles=there, bones=[bone.name for bone in bones])
         if by_muscle.setdefault(said.muscle, {}).setdefault(said.end, said) is not said:
             raise InputError(f"{said.muscle}: its {said.end.value} is stated twice; remove one")
     return tuple(
@@ -243,7 +246,8 @@ def find_ends(
             travel=travel or {},
             lengthwise=lengthwise,
         )
-        for name, muscle in muscles.items()
+        for name, muscle in there.items()
+        if not muscles or name in muscles
     )
 
 

@@ -252,11 +252,13 @@ def architecture(
             motions = {} if job.motions is None else dict(job.motions.at(1.0))
             with stages.stage("attachments"):
                 wanted = _wanted(job, muscles)
-                lengths = {m.name: Lengthwise.of(m.surface) for m in job.anatomy.of_kind(TissueKind.MUSCLE)}
+                needed = [m for m in job.anatomy.of_kind(TissueKind.MUSCLE) if within_mm is None or m.name in wanted]
+                lengths = {muscle.name: Lengthwise.of(muscle.surface) for muscle in needed}
                 within = usual_distance_mm(job.anatomy, lengthwise=lengths) if within_mm is None else within_mm
                 travel = _travel(job, motions)
-                ends = find_ends(job.anatomy, within_mm=within, stated=stated, travel=travel, lengthwise=lengths)
-                ends = tuple(one for one in ends if one.muscle in wanted)
+                ends = find_ends(
+                    job.anatomy, within_mm=within, stated=stated, travel=travel, lengthwise=lengths, muscles=wanted
+                )
             known, uses, notes = _known(job, fibres)
             deformation = _map_of(rig, job, progress=stages) if deform else None
             reach = fibres.reach_mm if isinstance(fibres, FibreFiles) else None

@@ -5,15 +5,19 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import pyvista as pv
 from scipy.spatial import cKDTree
-from tiny_rigs import drive_by_joints, write_tiny_rig
+from tiny_rigs import drive_by_joints, egg, write_tiny_rig
 
 from musclefit.cli import main
+from musclefit.geometry.surfaces.sections import Lengthwise, position_along
 from musclefit.io.formats.vtk_lines import vtk_lines
+from musclefit.io.run_folder import ply_bytes
+from musclefit.muscles import attachments
 
 
 @pytest.fixture
@@ -98,6 +102,20 @@ def test_at_rest_nothing_is_deformed(rig: Path, tmp_path: Path) -> None:
     assert rows(out / "carried.csv") == []
     assert not (out / "fibres_carried.vtk").exists()
     assert json.loads((out / "report.json").read_text(encoding="utf-8"))["claim"] == "at rest"
+
+
+def test_muscles_that_are_not_asked_for_are_not_looked_at(
+    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two muscles the attachments, sections and fibres of one."""
+    (rig.parent / "anatomy" / "muscle_extensor.ply").write_bytes(ply_bytes(egg((0, -13, 0), (25, 5, 5))))
+    looked, measured = Mock(wraps=position_along), Mock(wraps=Lengthwise.of)
+    monkeypatch.setattr(attachments, "position_along", looked)
+    monkeypatch.setattr(Lengthwise, "of", measured)
+    given = ["architecture", str(rig), "--rest", "--within-mm", "8", "--quiet", "--muscles", "*flexor"]
+    assert main([*given, "--out", str(tmp_path / "out")]) == 0
+    assert (looked.call_count, measured.call_count) == (1, 1)
+    assert [row["name"] for row in rows(tmp_path / "out" / "muscles.csv")] == ["muscle_flexor"]
 
 
 @pytest.mark.parametrize(

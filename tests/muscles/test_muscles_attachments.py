@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
-from musclefit.errors import InputError
+from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.formats.attachments import read_attachments
@@ -99,6 +99,20 @@ def test_what_is_stated_comes_before_what_is_found(tmp_path: Path) -> None:
     by_vertices = StatedEnd("muscle", End.ORIGIN, ("proximal",), None, tuple(corners.tolist()))
     (ends,) = find_ends(limb(), within_mm=0.5, stated=[by_vertices], travel=TRAVEL)
     assert ends.origin.area_mm2 == pytest.approx(480.0)
+
+
+def test_only_the_muscles_asked_for_are_looked_at() -> None:
+    """Beside one that has no area, and so no length, which looking at it would refuse."""
+    flat = Tissue("flat", TissueKind.MUSCLE, TriMesh(np.outer([0.0, 1.0, 3.0], [1.0, 0.0, 0.0]), np.array([[0, 1, 2]])))
+    both = Anatomy((flat, *limb()), "test")
+    with pytest.raises(MeshError, match="without area"):
+        find_ends(both, within_mm=0.5, travel=TRAVEL)
+    (found,) = find_ends(both, within_mm=0.5, travel=TRAVEL, muscles=["muscle"])
+    (alone,) = find_ends(limb(), within_mm=0.5, travel=TRAVEL)
+    assert (found.muscle, found.origin.area_mm2) == ("muscle", alone.origin.area_mm2)
+    stated = [StatedEnd("flat", End.ORIGIN, ("femur",))]
+    with pytest.raises(InputError, match="no bone is named 'femur'"):
+        find_ends(both, within_mm=0.5, stated=stated, muscles=["muscle"])
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ progress; when nobody reads it any more, this process ends.
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Sequence
 
@@ -17,7 +16,6 @@ import pytetwild
 def main(arguments: Sequence[str]) -> None:
     """Fill the surface; ``arguments`` are edge length and envelope as fractions, passes, and the energy to stop at."""
     edge_length, envelope, passes, stop_energy = arguments
-    _end_with_the_parent()
     sizing = {}
     lengths = np.load("sizing_lengths.npy", allow_pickle=False)
     if len(lengths):
@@ -41,20 +39,6 @@ def main(arguments: Sequence[str]) -> None:
     )
     np.save("filled_vertices.npy", np.asarray(vertices, dtype=np.float64), allow_pickle=False)
     np.save("filled_tets.npy", np.asarray(tets, dtype=np.int64), allow_pickle=False)
-
-
-def _end_with_the_parent() -> None:
-    """Die when the parent does: at once on Linux, elsewhere when next something is printed.
-
-    fTetWild works for minutes without giving Python a chance to look.
-    """
-    if hasattr(signal, "SIGPIPE"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    if sys.platform == "linux":
-        import ctypes
-
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from tiny_osim import MODEL
 
 from musclefit.errors import InputError
 from musclefit.io import marker_motions
+from musclefit.io.formats import c3d as formats_c3d
 from musclefit.io.formats.opensim_motion import CoordinateMotion
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
 from musclefit.io.marker_motions import MarkerFrame, Up, coordinates_of_markers
@@ -227,6 +228,14 @@ def test_a_frame_without_markers_and_bad_c3d(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=found):
             coordinates_of_markers(bad, model, source="x.c3d", frame=frame)
+
+
+def test_a_c3d_that_is_read_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """40 bytes of the parameters are missing, so that ezc3d looks for their end for ever."""
+    whole = c3d(tmp_path / "x.c3d", ["subject:A", "B"], np.zeros((3, 2, 3)))
+    monkeypatch.setattr(formats_c3d, "CPU_S", 0.5)
+    with pytest.raises(InputError, match=r"x\.c3d: ezc3d cannot use it \(no end within 1 s of processor time"):
+        formats_c3d.read_c3d(whole[:603] + whole[643:], source="x.c3d")
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

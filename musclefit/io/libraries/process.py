@@ -27,6 +27,8 @@ def asked(
     library: str,
     source: str,
     tick: Tick = lambda _: None,
+    cpu_s: float = float("inf"),
+    memory_bytes: float = float("inf"),
 ) -> dict[str, Any]:
     """Have a task of `musclefit.io.libraries.worker` done.
 
@@ -41,6 +43,8 @@ def asked(
     source : str
         The user's file, for messages.
     tick : function of a fraction
+    cpu_s, memory_bytes : float
+        The most that it may take, as of `run_worker`.
 
     Returns
     -------
@@ -49,7 +53,7 @@ def asked(
     Raises
     ------
     InputError
-        The library is not installed, says why it cannot do it, or ended.
+        The library is not installed, says why it cannot do it, ended, or came to no end within its limits.
     """
     with scratch_folder("musclefit-library-") as folder:
         arrays: dict[str, Any] = {key: np.asarray(value) for key, value in given.items()}
@@ -57,7 +61,14 @@ def asked(
         for file, data in files.items():
             (folder / file).write_bytes(data)
         code, said = run_worker(
-            _WORKER, [task], folder=folder, fractions=_fractions_done, tick=tick, options=("-W", "ignore")
+            _WORKER,
+            [task],
+            folder=folder,
+            fractions=_fractions_done,
+            tick=tick,
+            options=("-W", "ignore"),
+            cpu_s=cpu_s,
+            memory_bytes=memory_bytes,
         )
         if code == 0:
             with np.load(folder / "answer.npz", allow_pickle=False) as stored:

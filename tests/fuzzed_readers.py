@@ -355,6 +355,11 @@ stature = { kind = "stature", value = 178, unit = "cm" }
 calf = { kind = "girth", value = 38, unit = "cm", at = "c", from = "a", to = "b" }
 """
 MEASURES_CSV = b"name,kind,value,unit,height,at,from,to\nstature,stature,178,cm,,,,\nwaist,girth,920,mm,1050,,,\n"
+ATTACHMENTS = (
+    b"muscle,end,bone,within_mm\na,origin,hum,3\nb,insertion,,\n",
+    b"muscle,end,bone,within_mm,vertices,sheet\na,origin,hum + rad,3,,plate\na,insertion,,,0 1 2,\nb,origin,,,,plate\n",
+    b"muscle,end,bone,sheet\na,origin,hum,own.ply\na,insertion,,plate\n",
+)
 KEYWORDS = (
     b"*KEYWORD\n*NODE\n       1             0.0             0.0             0.0\n"
     b"       2             1.0             0.0             0.0\n"
@@ -410,9 +415,11 @@ def _coordinate_files() -> list[bytes]:
 
 
 def _attachments(path: Path) -> object:
+    from musclefit.geometry.meshes import TriMesh
     from musclefit.io.formats.attachments import read_attachments
 
-    return read_attachments(path)
+    (path.parent / "own.ply").write_bytes(_plys()[0])
+    return read_attachments(path, tissues={"plate": TriMesh(_ball().vertices, _ball().faces)})
 
 
 def _fibres(path: Path) -> object:
@@ -578,9 +585,7 @@ READERS = (
     Reader("model osim", ".osim", _osim, _osims),
     Reader("motion mot", ".mot", _coordinates, _coordinate_files),
     Reader("motion sto", ".sto", _coordinates, _coordinate_files),
-    Reader(
-        "attachments csv", ".csv", _attachments, _given(b"muscle,end,bone,within_mm\na,origin,hum,3\nb,insertion,,\n")
-    ),
+    Reader("attachments csv", ".csv", _attachments, _given(*ATTACHMENTS)),
     Reader("fibres npz", ".npz", _fibres, _fibre_files),
     Reader("known fibres tck", ".tck", _given_fibres, _tractograms(".tck")),
     Reader("known fibres trk", ".trk", _given_fibres, _tractograms(".trk")),

@@ -29,6 +29,8 @@ from tiny_rigs import drive_by_joints, write_tiny_rig
 LEFT_OVER = (".partial-", ".former-", ".trial-", ".unfinished-", ".tmp", ".lock")
 FINISHED = (0, 1)
 """Exit codes of a command that completed: passed, or a limit failed."""
+TRIAL = b"blat"
+"""What Python's `tempfile` writes into the place for temporary files and removes at once, to see whether it can."""
 ORPHANS_S = 60.0
 """How long workers may take to notice that their command is gone, seconds."""
 
@@ -183,7 +185,12 @@ def _finished(folder: Path) -> dict[Path, int]:
 
 def _left_over(folder: Path) -> list[str]:
     named = [path for path in folder.rglob("*") if any(word in path.name for word in LEFT_OVER)]
-    return [str(path.relative_to(folder)) for path in (*named, *(folder / "temporary").iterdir())]
+    temporary = [path for path in (folder / "temporary").iterdir() if not _is_trial(path)]
+    return [str(path.relative_to(folder)) for path in (*named, *temporary)]
+
+
+def _is_trial(path: Path) -> bool:
+    return path.is_file() and TRIAL.startswith(path.read_bytes())  # killed within it, nothing of it may be written
 
 
 def kill_at(command: Command, folder: Path, *, moment: Moment) -> str:

@@ -61,6 +61,7 @@ def test_the_view_shows_states_layers_sections_and_values(browser, written):
         assert len(colours_in(page)) > 5
         one = drawn_after(page, lambda: page.select_option("#left", "none"))
         assert page.get_attribute("#viewer", "data-shown") == "Result"
+        assert page.input_value("#section-axis") == "2", "the first section faces the reader"
         cut = drawn_after(page, lambda: page.check("#section-on"))
         drawn_after(page, lambda: page.uncheck("#section-on"))
         page.click("summary:has-text('Layers')")
@@ -80,9 +81,13 @@ def test_places_in_tables_take_the_view_there(browser, written):
         x, y, _ = map(float, page.get_attribute("#viewer", "data-at").split())
         assert (abs(x), abs(y - 13)) < (0.1, 0.1)
         assert "bone_proximal and bone_distal" in page.text_content("#view-said")
+        assert page.get_attribute("#viewer", "data-shown") == "Result", "another state would show another place"
+        page.click("tr[data-with] button.fly")
+        assert page.get_attribute("#viewer", "data-shown") == "Rest | Result", "as before the place was shown"
         page.click("tr[data-at] button.fly")
         page.wait_for_selector("#viewer[data-at^='3.00 4.00 5.00']")
         page.click("#show-all")
+        assert page.get_attribute("#viewer", "data-shown") == "Rest | Result"
         assert page.is_hidden("#show-all")
         assert page.is_hidden("tr[data-mark='0 0']"), "contact zones are folded away"
         page.click("summary:has-text('1 contact zone of bones')")
@@ -153,6 +158,8 @@ def test_dark_light_phone_and_print(browser, written):
         assert right <= 390
     with page_of(browser, path) as page:
         assert page.evaluate(shade) == "rgb(255, 255, 255)"
+        narrowest = "() => Math.min(...[...document.querySelectorAll('td.name')].map((c) => c.offsetWidth || 999))"
+        assert page.evaluate(narrowest) >= 80, "short names are not broken"
         links = page.locator("nav.contents a")
         for k in range(links.count()):
             assert page.locator(f"{links.nth(k).get_attribute('href')} + h2").count() == 1

@@ -415,7 +415,18 @@
     scale();
     draw();
   }
-  for (const select of [left, right]) select.addEventListener("change", () => { choose(); say(`Shown: ${root.dataset.shown}`); });
+  // What stood beside each other before a place was shown, which is one state's alone.
+  let before = null;
+  function showAlone(number) {
+    before ??= [left.value, right.value];
+    left.value = "none";
+    right.value = String(number);
+    choose();
+  }
+  function showAsBefore() {
+    if (before) { [left.value, right.value] = before; before = null; choose(); }
+  }
+  for (const select of [left, right]) select.addEventListener("change", () => { before = null; choose(); say(`Shown: ${root.dataset.shown}`); });
 
   const colour = $("colour");
   option(colour, "tissue", "tissue");
@@ -431,6 +442,10 @@
     $("scale-high").textContent = `${of.high.toPrecision(3)}`;
   }
   colour.addEventListener("change", () => { shown.colour = colour.value; sides.forEach(paint); scale(); draw(); say(`Coloured by ${colour.selectedOptions[0].textContent}`); });
+
+  // The first section faces the reader.
+  $("section-axis").value = String([0, 1, 2].reduce((a, b) => (Math.abs(towards.getComponent(b)) > Math.abs(towards.getComponent(a)) ? b : a)));
+  $("section-flip").checked = towards.getComponent(Number($("section-axis").value)) < 0;
 
   function section() {
     const axis = Number($("section-axis").value), sign = $("section-flip").checked ? -1 : 1;
@@ -536,15 +551,13 @@
   for (const row of document.querySelectorAll("tr[data-tissue]")) {
     const names = [row.dataset.tissue, row.dataset.with].filter(Boolean);
     if (!names.every((name) => scene.tissues.some((t) => t.name === name))) continue;
-    button(row, names.join(" and "), () => focusOn(names, boxOf(names), `Shown: ${names.join(" and ")}`));
+    button(row, names.join(" and "), () => { showAsBefore(); focusOn(names, boxOf(names), `Shown: ${names.join(" and ")}`); });
   }
   for (const row of document.querySelectorAll("tr[data-mark]")) {
     const [s, m] = row.dataset.mark.split(" ").map(Number);
     const mark = scene.shapes[s].marks[m];
     button(row, `${mark.kind}, ${mark.tissues.join(" and ")}, ${scene.shapes[s].title}`, () => {
-      left.value = "none"; // elsewhere in space, another state shows another place
-      right.value = String(s);
-      choose();
+      showAlone(s); // elsewhere in space, another state shows another place
       marksShown[mark.kind] = true;
       const box = new THREE_D.Box3().setFromArray(floats(bytes, mark.vertices));
       focusOn(mark.tissues, box, `${mark.kind}: ${mark.tissues.join(" and ")}, ${mark.title}`);
@@ -553,11 +566,11 @@
   for (const row of document.querySelectorAll("tr[data-at]")) {
     const at = new THREE_D.Vector3(...row.dataset.at.split(" ").map(Number));
     button(row, `place ${row.dataset.at}`, () => {
-      if (stateNamed("Result") !== undefined) { left.value = "none"; right.value = String(stateNamed("Result")); choose(); }
+      if (stateNamed("Result") !== undefined) showAlone(stateNamed("Result"));
       focusOn([row.dataset.near], new THREE_D.Box3().setFromCenterAndSize(at, new THREE_D.Vector3(1, 1, 1).multiplyScalar(ball.radius / 20)), `Place ${row.dataset.at} mm in ${row.dataset.near}`);
     });
   }
-  $("show-all").addEventListener("click", () => { shown.focus = null; $("show-all").hidden = true; sides.forEach(look); home(); say("All is shown again"); });
+  $("show-all").addEventListener("click", () => { shown.focus = null; $("show-all").hidden = true; showAsBefore(); sides.forEach(look); home(); say("All is shown again"); });
 
   const canvas = $("view");
   let pressed = null;

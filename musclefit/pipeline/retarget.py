@@ -69,7 +69,7 @@ class Outcome:
         Of ``tets``, moved.
     side : Side
     solid : SolidAnatomy
-        ``deformed``, prepared for booleans.
+        ``deformed``, prepared for booleans; of a finished `Retargeting`, only tissues that overlap.
     """
 
     deformation: Deformation
@@ -83,6 +83,11 @@ class Outcome:
 
     def __repr__(self) -> str:
         return f"Outcome({self.side.method}; {self.deformation!r})"
+
+    def with_overlapping_solids(self) -> Outcome:
+        """The same, with no more solids than are needed to show what overlaps."""
+        overlapping = {name for pair in self.side.overlaps.pairs for name in (pair.a, pair.b)}
+        return replace(self, solid=self.solid.only(overlapping))
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
@@ -190,7 +195,8 @@ def retarget(job: Job, *, tets: TetAnatomy | TetsLater | None, progress: Progres
     later = cache(tets if callable(tets) else partial(_given, tets))
     finish = _Finisher(job, solids, later, job.rig.mesh, progress, progress, shared)
     kept = _kept_findings(made.deformed)
-    result = finish(made, method=method_in_words(job), stage="check result")
+    result = finish(made, method=method_in_words(job), stage="check result").with_overlapping_solids()
+    del made  # what was tested at every step is needed no more, and takes as much memory as the anatomy
     filled = later()
     of_tets = () if filled is None else (*filled.findings, *rest_findings(filled, sliver_deg=job.rig.mesh.sliver_deg))
     return Retargeting(
@@ -216,7 +222,8 @@ def _one_shot(finish: _Finisher) -> Outcome | None:
     if Compared.ONE_SHOT not in job.rig.compare.methods:
         return None
     made = move_finely(job, deform_in_one_shot(job, job.anatomy.vertices()), progress=finish.progress)
-    return finish.as_given(job)(made, method=baseline_in_words(job), stage="check baseline")
+    outcome = finish.as_given(job)(made, method=baseline_in_words(job), stage="check baseline")
+    return outcome.with_overlapping_solids()
 
 
 def _papers_loop(finish: _Finisher) -> Outcome | None:
@@ -225,7 +232,8 @@ def _papers_loop(finish: _Finisher) -> Outcome | None:
     if loop is None:
         return None
     made = deform_finely(loop, progress=LoopProgress(finish.progress))
-    return finish.as_given(loop)(made, method=method_in_words(loop), stage="check the paper's loop")
+    outcome = finish.as_given(loop)(made, method=method_in_words(loop), stage="check the paper's loop")
+    return outcome.with_overlapping_solids()
 
 
 def outcome_of(job: Job, *, rest: SolidAnatomy, shared: Sequence[BoneOverlap] = (), progress: Progress) -> Outcome:

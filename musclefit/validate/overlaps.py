@@ -7,8 +7,8 @@ volume of the mapped rest overlap for the others, never below 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError, MeshError
@@ -59,6 +59,10 @@ class SolidAnatomy:
     solids: Mapping[str, Solid]
     refused: Mapping[str, str]
     known: dict[tuple[str, Pair], _Part] = field(default_factory=dict)
+
+    def only(self, names: Collection[str]) -> SolidAnatomy:
+        """With the solids of the tissues named alone: those of a whole limb take some 100 MB."""
+        return replace(self, solids={name: solid for name, solid in self.solids.items() if name in names}, known={})
 
 
 def solid_anatomy(anatomy: Anatomy, *, progress: Progress) -> SolidAnatomy:

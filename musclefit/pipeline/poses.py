@@ -64,7 +64,19 @@ def refuse_collision(job: Job, bones: RigidBones) -> None:
     found = collision_on_the_way(job, bones)
     if found is None:
         return
-    raise InputError(f"{collision_in_words(job, found)}; {_remedy(job)}, or let the bones deform (bones.rigid = false)")
+    raise InputError(
+        f"{collision_in_words(job, found)}; {_left_out(job, found)}{_remedy(job)}, or let the bones deform "
+        "(bones.rigid = false)"
+    )
+
+
+def _left_out(job: Job, found: BoneCollision) -> str:
+    """The likely cause where one of the two is a bone that no joint knows."""
+    still = () if job.joints is None else job.joints.still
+    names = [name for name in (found.found.a, found.found.b) if name in still]
+    return (
+        f"no joint fixes or moves {names[0]!r}, so it stays where it is: name it there if it moves; " if names else ""
+    )
 
 
 def _remedy(job: Job) -> str:

@@ -251,6 +251,12 @@ def check_owners(handles: Handles, anatomy: Anatomy) -> None:
 
 def joint_findings(anatomy: Anatomy, joints: JointSystem, *, subject: str) -> tuple[Finding, ...]:
     """One finding that names the bones of the anatomy that no joint fixes or moves, if there are any."""
+    if joints.still:
+        message = (
+            f"{len(joints.still)} bones are neither fixed nor moved by a joint and stay where they are: "
+            f"{', '.join(joints.still)}"
+        )
+        return (Finding(subject, "bone-without-joint", message),)
     return still_findings(
         anatomy,
         joints.bones(),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ class JointSystem:
     couplings : tuple of Coupling
     source : str
         The file, for messages.
+    still : tuple of str
+        Bones that no joint knows, and that stay where they are.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class JointSystem:
     joints: tuple[Joint, ...]
     couplings: tuple[Coupling, ...]
     source: str
+    still: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for first, joint in enumerate(self.joints):
@@ -61,9 +64,14 @@ class JointSystem:
         return tuple(name for joint in self.joints if joint.coupled is None for name in joint.coordinates)
 
     def bones(self) -> tuple[str, ...]:
-        """Every bone that a joint fixes or moves, or that follows one, each once."""
+        """Every bone that a joint fixes or moves, or that follows one, and those that stay still, each once."""
         named = [bone for joint in self.joints for bone in (*joint.fixed, *joint.moving)]
-        return tuple(dict.fromkeys([*named, *(coupling.bone for coupling in self.couplings)]))
+        return tuple(dict.fromkeys([*named, *(coupling.bone for coupling in self.couplings), *self.still]))
+
+    def with_still(self, bones: Iterable[str]) -> JointSystem:
+        """With bones that stay where they are, of those that no joint knows."""
+        known = self.bones()
+        return replace(self, still=(*self.still, *(bone for bone in bones if bone not in known)))
 
     def check_bones(self, anatomy_names: Collection[str]) -> None:
         """Raise RigError at the first bone that is not among the bones of the anatomy."""

@@ -207,10 +207,24 @@ def test_units_of_landmarks_and_anatomy_are_converted(folder: Path) -> None:
 
 def test_a_bone_that_no_joint_knows_is_a_finding(folder: Path) -> None:
     write_ply(folder / "tissues" / "bone_loose.ply", *box((0, 0, 50), (5, 5, 55)))
-    found = [f for f in read_rig(folder / "joint.toml").findings if f.code == "bone-without-joint"]
+    overrides = ["deformer.method=yu2014"]
+    found = [f for f in read_rig(folder / "joint.toml", overrides=overrides).findings if f.code == "bone-without-joint"]
     assert len(found) == 1
     assert "1 bones are neither fixed nor moved by a joint" in found[0].message
-    assert "bone_loose" in found[0].message
+    assert "follow the soft tissue: bone_loose" in found[0].message
+
+
+def test_a_rigid_bone_that_no_joint_knows_stays_where_it_is(folder: Path) -> None:
+    write_ply(folder / "tissues" / "bone_loose.ply", *box((0, 0, 50), (5, 5, 55)))
+    rigid = ("deformer.path=joints", "deformer.kernel=isochoric-r3", "deformer.step=cayley", "bones.rigid=true")
+    job = read_rig(folder / "joint.toml", overrides=rigid)
+    (found,) = [f for f in job.findings if f.code == "bone-without-joint"]
+    assert found.message.endswith("stay where they are: bone_loose")
+    assert job.motions is not None
+    assert job.joints is not None
+    for motion in (job.motions.at(0.5)["bone_loose"], job.joints.motions({})["bone_loose"]):
+        np.testing.assert_array_equal(motion(np.eye(3)), np.eye(3))
+    assert "bone_loose" in job.handles.owner
 
 
 def test_frames_that_landmarks_and_anatomy_state_must_agree(folder: Path) -> None:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+import trimesh
 from tiny_rigs import drive_by_joints, write_tiny_rig
 
 import musclefit
@@ -50,6 +51,19 @@ def test_a_forbidden_pose_is_refused_before_the_soft_tissue_is_touched(rig: Path
     )
     assert re.search(r"in the pose itself they are 5\.\d+ mm deep", said)
     assert re.search(r"the largest feasible pose on this way is elbow 145\.\d+ deg; set drive\.pose", said)
+
+
+def test_a_bone_in_the_way_that_no_joint_knows_is_told_apart(rig: Path) -> None:
+    """It stays where it is, and what it most likely lacks is a place in a joint."""
+    there = musclefit.read_rig(rig, overrides=("drive.pose.elbow_deg=120",))
+    assert there.motions is not None
+    distal = there.anatomy["bone_distal"].surface
+    moved = there.motions.at(1.0)["bone_distal"](distal.vertices)
+    loose = trimesh.Trimesh(0.3 * (moved - moved.mean(axis=0)) + moved.mean(axis=0), distal.faces, process=False)
+    loose.export(rig.parent / "anatomy" / "bone_loose.ply")
+    job = posed(rig, 120)
+    with pytest.raises(InputError, match=r"no joint fixes or moves 'bone_loose', so it stays where it is: name it"):
+        refuse_collision(job, bones_of(job))
 
 
 @pytest.mark.parametrize("degrees", [170.0, -170.0])

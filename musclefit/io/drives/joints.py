@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from musclefit.anatomy.findings import Finding
-from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import RigError
 from musclefit.io.drives.bone_landmarks import handles_of, read_bone_landmarks, refuse_two_ways
 from musclefit.io.formats.tables import parse_table
@@ -93,7 +93,7 @@ class JointDrive(Drive):
         motion = found_if_named(self.motion, files, key="drive.motion")
         return replace(self, joints=joints, landmarks=landmarks, motion=motion)
 
-    def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnJoints:  # noqa: ARG002
+    def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnJoints:
         """The joints, their motions to the pose, and the landmarks."""
         data = files.read(Path(self.joints), key="drive.joints")
         joints = parse_joints(parse_table(data, source=self.joints), source=self.joints)
@@ -106,28 +106,37 @@ class JointDrive(Drive):
         except RigError as error:
             raise files.named("drive.keyframes", error) from None
         if not self.landmarks:
-            return OnJoints(motions, joints, None, self.landmarks_per_bone, path)
+            return OnJoints(self, motions, joints, None, path, rigid_bones)
         table = read_bone_landmarks(self.landmarks, files, units=self.units, movers="the joints")
         return OnJoints(
-            motions, joints, handles_of(table), self.landmarks_per_bone, path, table.findings, table.coordinate_system
+            self, motions, joints, handles_of(table), path, rigid_bones, table.findings, table.coordinate_system
         )
 
 
 @dataclass(frozen=True, eq=False)
 class OnJoints(Driver):
-    """Joints with landmarks from a file, or None to spread ``per_bone`` over each bone."""
+    """Joints with landmarks from a file, or None to spread the drive's ``landmarks_per_bone`` over each bone."""
 
+    drive: JointDrive
     motions: BoneMotions
     joints: JointSystem
     landmarks: Handles | None
-    per_bone: int
     path: PathKind
+    rigid_bones: bool
     findings: tuple[Finding, ...] = ()
     frame: str = ""
 
     def parts(self) -> JobParts:
         """The joints and the motions to the pose."""
         return JobParts(motions=self.motions, joints=self.joints)
+
+    def on_anatomy(self, anatomy: Anatomy, files: Files) -> OnJoints:  # noqa: ARG002
+        """Where bones are rigid, those that no joint knows stay where they are."""
+        if not self.rigid_bones:
+            return self
+        joints = self.joints.with_still(tissue.name for tissue in anatomy.of_kind(TissueKind.BONE))
+        motions = motions_of(self.drive.pose, joints, kind=self.path, keyframes=self.drive.keyframes)
+        return replace(self, joints=joints, motions=motions)
 
     def bone_findings(self, anatomy: Anatomy, files: Files) -> tuple[Finding, ...]:
         """Bones that no joint fixes or moves."""
@@ -140,6 +149,6 @@ class OnJoints(Driver):
     def handles_on_path(self, anatomy: Anatomy) -> tuple[Handles, HandlePath]:
         """The landmarks on their bones."""
         handles = self.landmarks or bone_landmarks(
-            anatomy, self.joints.bones(), per_bone=self.per_bone, motions=self.motions
+            anatomy, self.joints.bones(), per_bone=self.drive.landmarks_per_bone, motions=self.motions
         )
         return handles, path_by_joints(handles, self.motions, kind=self.path)

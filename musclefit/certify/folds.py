@@ -46,6 +46,12 @@ CANDIDATES = 16
 BRANCH_STEPS, BRANCH_NEWTON = 16, 8
 """Strengths that the branch of a midpoint is followed through, and Newton steps at each."""
 
+MIDPOINT_NEWTON, NEWTON_MISSES = 50, 4
+"""Newton steps to a midpoint, at most, and those in a row after which the equation is solved no better than before."""
+
+PLACE_SHARE = 1e-8
+"""Of the coordinates and of the body's extent: places that are not proved to this are not named as those of a fold."""
+
 ACROSS = tuple(sign * 2.0**k for k in range(-11, 4, 2) for sign in (-1.0, 1.0))
 """Strides across a fold from which a second midpoint is looked for."""
 
@@ -63,6 +69,8 @@ class Search:
         Where the step meets them.
     stride : float
         Of the first moves from there, mm.
+    extent : float
+        Of the body at rest, mm.
     samples : (N, n) float64, mm
         Points of the body at rest, of which the worst are starts, too.
     inside, surely_inside : Inside
@@ -71,6 +79,7 @@ class Search:
 
     starts: Points
     stride: float
+    extent: float
     samples: Points
     inside: Inside
     surely_inside: Inside
@@ -92,7 +101,7 @@ def find_fold(steps: Sequence[StepOf], number: int, search: Search) -> tuple[Fol
     determinants = _deciding(kind, field.gradient(carried))
     order = np.argsort(determinants, kind="stable")
     folded = order[determinants[order] < 0.0][:FOLDED_SAMPLES]
-    fold = _first_fold(steps, number, samples[folded], search.surely_inside)
+    fold = _first_fold(steps, number, samples[folded], search)
     beside = beside_jumps(field, (1.0,) if kind is StepKind.EXPLICIT else (0.5, -0.5), stride)
     starts = np.concatenate([search.starts, carried[order[:STARTS]], beside.reshape(-1, samples.shape[1])])
     if fold or not len(starts):
@@ -100,33 +109,35 @@ def find_fold(steps: Sequence[StepOf], number: int, search: Search) -> tuple[Fol
     places = _descend(kind, field, starts, stride)[:FOLLOWED]
     rest = _back_to_rest(steps[:number], kind, field, places)
     rest = rest[np.isfinite(rest).all(axis=1)]
-    return _first_fold(steps, number, rest[search.inside(rest)][:CANDIDATES], search.surely_inside)
+    return _first_fold(steps, number, rest[search.inside(rest)][:CANDIDATES], search)
 
 
-def _first_fold(steps: Sequence[StepOf], number: int, candidates: Points, surely_inside: Inside) -> tuple[Fold, ...]:
+def _first_fold(steps: Sequence[StepOf], number: int, candidates: Points, search: Search) -> tuple[Fold, ...]:
     """The fold at the first of some points at rest at which one is proved; nothing where there is none."""
-    for candidate in candidates[surely_inside(candidates)] if len(candidates) else candidates:
-        fold = prove_fold(steps, number, candidate[None])
+    for candidate in candidates[search.surely_inside(candidates)] if len(candidates) else candidates:
+        fold = prove_fold(steps, number, candidate[None], extent=search.extent)
         if fold:
             return fold
     return ()
 
 
-def prove_fold(steps: Sequence[StepOf], number: int, rest: Points) -> tuple[Fold, ...]:
-    """The fold of step ``number`` at the image of one point at rest (1, n), if it can be proved.
+def prove_fold(steps: Sequence[StepOf], number: int, rest: Points, *, extent: float) -> tuple[Fold, ...]:
+    """The fold of step ``number`` at the image of one point at rest (1, n) of a body of some extent, if it is proved.
 
     A Cayley step so steep that the point may have several midpoints there is left alone: it takes the point to nowhere
     in particular, so that neither orientation is shown.
     """
     cover = _before(steps[:number], rest)
     kind, field = steps[number]
-    if not np.isfinite(cover.radii).all():
+    if not _names_places(cover, extent):
         return ()
     if kind is StepKind.CAYLEY:
         middle = _agreed_midpoint(field, cover.points)
         if not len(middle):
             return ()
         cover = _midpoint_near(field, cover, middle)
+        if not _names_places(cover, extent):
+            return ()
     ceiling = _determinant_ceiling(kind, field, cover)
     if not ceiling < 0.0:
         return ()
@@ -171,7 +182,7 @@ def find_second_midpoint(steps: Sequence[StepOf], number: int, search: Search, *
     places, rest = places[known][:CANDIDATES], rest[known][:CANDIDATES]
     sure = search.surely_inside(rest)
     for place, point in zip(places[sure], rest[sure], strict=True):
-        fold = _two_midpoints(steps, number, point[None], place[None], search.stride)
+        fold = _two_midpoints(steps, number, point[None], place[None], search)
         if fold:
             return fold
     return ()
@@ -187,7 +198,7 @@ def _reversed_behind(field: Field, places: Points) -> Float:
 
 
 def _two_midpoints(
-    steps: Sequence[StepOf], number: int, rest: Points, place: Points, stride: float
+    steps: Sequence[StepOf], number: int, rest: Points, place: Points, search: Search
 ) -> tuple[Fold, ...]:
     """Two midpoints of a point (1, n) at rest, the first near ``place`` (1, n), in proved balls that do not meet.
 
@@ -196,9 +207,11 @@ def _two_midpoints(
     """
     field = steps[number][1]
     cover = _before(steps[:number], rest)
-    if not np.isfinite(cover.radii).all():
+    if not _names_places(cover, search.extent):
         return ()
     first = _midpoint_near(field, cover, place)
+    if not _names_places(first, search.extent):
+        return ()
     ceiling = _determinant_ceiling(StepKind.CAYLEY, field, first)
     if not ceiling < 0.0:
         return ()
@@ -207,7 +220,7 @@ def _two_midpoints(
         [
             cover.points,
             cover.points + 0.5 * field.displacement(cover.points),
-            first.points + stride * np.array(ACROSS)[:, None] * flattest,
+            first.points + search.stride * np.array(ACROSS)[:, None] * flattest,
         ]
     )
     targets = np.repeat(cover.points, len(starts), axis=0)
@@ -216,7 +229,8 @@ def _two_midpoints(
     for near in found[np.argsort(-apart, kind="stable")]:
         second = _midpoint_near(field, cover, near[None])
         between = float(np.linalg.norm(second.points - first.points))
-        if np.isfinite(second.radii).all() and between * (1.0 - 1e-9) > float(first.radii[0] + second.radii[0]):
+        apart_for_sure = between * (1.0 - 1e-9) > float(first.radii[0] + second.radii[0])
+        if apart_for_sure and _names_places(second, search.extent):
             other = tuple(map(float, second.points[0]))
             return (Fold(tuple(map(float, rest[0])), number, tuple(map(float, first.points[0])), ceiling, other),)
     return ()
@@ -250,6 +264,11 @@ def _agreed_midpoint(field: Field, point: Points) -> Points:
     return usual if agreed else np.zeros((0, point.shape[1]))
 
 
+def _names_places(cover: Cover, extent: float) -> bool:
+    """Whether balls are so small that their centres tell where the places in them are."""
+    return bool((cover.radii <= PLACE_SHARE * (extent + np.abs(cover.points).max(axis=1))).all())
+
+
 def _midpoint_near(field: Field, cover: Cover, near: Points) -> Cover:
     """A ball that holds a midpoint of every point of a ball, found near ``near`` (1, n); of infinite radius if none is.
 
@@ -258,13 +277,7 @@ def _midpoint_near(field: Field, cover: Cover, near: Points) -> Cover:
     Monotonicity is not needed: the midpoint need not be the only one, but it is one.
     """
     n = near.shape[1]
-    middle = near
-    for _ in range(6):
-        values, gradients = field.displacement_and_gradient(middle)
-        matrix = np.eye(n) - 0.5 * gradients[0]
-        if not abs(np.linalg.det(matrix)) > 1e-9:
-            break
-        middle = middle - np.linalg.solve(matrix, middle[0] - 0.5 * values[0] - cover.points[0])[None]
+    middle = _solved_from(field, cover.points, near)
     values, errors = displacement_with_error(field, middle)
     reach = float(np.linalg.norm(middle - 0.5 * values - cover.points) + errors[0] + cover.radii[0])
     reach = (reach + 1e-15 * float(np.abs(middle).sum() + np.abs(values).sum() + np.abs(cover.points).sum())) * 1.001
@@ -280,6 +293,24 @@ def _midpoint_near(field: Field, cover: Cover, near: Points) -> Cover:
     apart = float(np.linalg.norm(inverse @ (np.eye(n) - 0.5 * enclosed[0]) - np.eye(n), "fro")) + 1e-12 * size
     contraction = (apart + 0.5 * size * float(spread[0])) * 1.001
     return Cover(middle, np.array([radius if contraction <= 0.5 else np.inf]))
+
+
+def _solved_from(field: Field, point: Points, near: Points) -> Points:
+    """About the midpoint of a point (1, n) to which Newton's method leads from ``near`` (1, n): the best on its way."""
+    middle, best, least, misses = near, near, np.inf, 0
+    for _ in range(MIDPOINT_NEWTON):
+        values, gradients = field.displacement_and_gradient(middle)
+        off = middle[0] - 0.5 * values[0] - point[0]
+        residual = float(np.linalg.norm(off))
+        if residual < least:
+            best, least, misses = middle, residual, 0
+        else:
+            misses += 1
+        matrix = np.eye(point.shape[1]) - 0.5 * gradients[0]
+        if misses > NEWTON_MISSES or not abs(np.linalg.det(matrix)) > 1e-9:
+            break
+        middle = middle - np.linalg.solve(matrix, off)[None]
+    return best
 
 
 def _determinant_ceiling(kind: StepKind, field: Field, cover: Cover) -> float:

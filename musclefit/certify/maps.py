@@ -206,7 +206,7 @@ def _judge(
         step = trial.certificate(proof)
         domain: Hull | Region = trial.domain
         if step.claim is not Claim.CERTIFIED:
-            search = Search(*trial.suspects(proof), body.samples(), body.inside, body.surely_inside)
+            search = Search(*trial.suspects(proof), body.extent, body.samples(), body.inside, body.surely_inside)
             fold = find_fold(steps, number, search)
             if fold:
                 found.append(replace(step, claim=Claim.REFUTED))
@@ -233,6 +233,7 @@ class _Body:
     def __init__(self, patches: Patches, parts: Sequence[TriMesh | Points], single: Points) -> None:
         self.patches, self.parts, self.single = patches, parts, single
         self.cover = Cover(patches.centres, patches.radii())
+        self.extent = float(np.ptp(patches.centres, axis=0).max(initial=0.0))
         self.steps: list[tuple[StepKind, Field]] = []
         self.domains: list[Hull | Region] = []
         self.pieces_left = MAX_PATCHES

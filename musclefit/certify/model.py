@@ -22,13 +22,14 @@ class Fold:
     step : int
         The step that reverses orientation, counted from 0.
     place_in_step : Place
-        About where the steps before take the point; for a Cayley step its midpoint (the one that Newton's method and
-        the growing field agree on, where there is no ``other_midpoint``).
+        Where the steps before take the point, proved to 1e-8 of the coordinates and of the body's extent
+        (`folds.PLACE_SHARE`); for a Cayley step its midpoint (the one that Newton's method and the growing field agree
+        on, where there is no ``other_midpoint``).
     determinant : float
         Below 0: a proved upper bound of det(I + grad D), or of det(I + grad D/2) det(I - grad D/2) for a Cayley step,
         which has the sign of its Jacobian.
     other_midpoint : Place or None
-        A second midpoint of the point under the Cayley step, where two are proved: the implicit step has several
+        A second midpoint of the point under the Cayley step, proved as closely: the implicit step has several
         solutions for a point of the body, and orientation is reversed at one of them.
     """
 

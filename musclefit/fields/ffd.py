@@ -8,12 +8,15 @@ from typing import Self
 import numpy as np
 
 from musclefit.errors import FieldError
-from musclefit.fields.enclosures.ffd import box_bounds
+from musclefit.fields.enclosures.ffd import box_bounds, steepest_cells
 from musclefit.fields.evaluation import bsplines
 from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
 SUBDIVISION = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 8.0
 """Weights that turn coefficients into those of the same spline with half the spacing."""
+
+NO_WIDE_BOXES = (np.zeros(0), np.zeros((0, 3)), np.zeros(0, dtype=np.int64), np.zeros(0))
+"""In place of what wide boxes are bounded by, where there are only points."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -245,8 +248,21 @@ class FfdField:
         if not (half_widths >= 0.0).all():
             raise FieldError("a box has a negative half width; give half widths of at least 0 mm")
         gradients, found = np.zeros((len(where), *self.linear.shape)), np.zeros((len(where), 2))
-        box_bounds(self._lattices(), np.array(linears, order="C"), where, half_widths, strain, gradients, found)
+        coarse = self._coarse() if half_widths.any() else NO_WIDE_BOXES
+        matrices = np.array(linears, order="C")
+        box_bounds(self._lattices(), coarse, matrices, where, half_widths, strain, gradients, found)
         return gradients, found
+
+    def _coarse(self) -> tuple[Float, Float, Int, Float]:
+        """What `ffd_bounds.box_bounds` bounds wide boxes by."""
+        parts = [level.in_space() for level in self.levels]
+        levels = [steepest_cells(coefficients, spacing) for _, spacing, coefficients in parts]
+        return (
+            np.concatenate([np.zeros(0), *(squares.ravel() for squares in levels)]),
+            np.array([squares.max(axis=(1, 2, 3)) for squares in levels]).reshape(-1, 3),
+            np.cumsum([0, *(squares.size for squares in levels)], dtype=np.int64)[:-1],
+            np.array([np.abs(level.coefficients).max(initial=0.0) for level in self.levels]).reshape(-1),
+        )
 
     def _lattices(self) -> tuple[Float, Float, Int, Int, Float]:
         """All levels as `ffd_bounds.box_bounds` takes them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from fractions import Fraction
 
 import numpy as np
@@ -131,6 +132,22 @@ def test_a_huge_box_and_one_far_away_are_bounded():
     gradients, radii = field.gradient_bounds(np.full((1, 3), 1e4), np.ones((1, 3)))
     np.testing.assert_allclose(gradients[0], field.linear, rtol=0, atol=1e-15)
     assert radii[0] < 1e-12
+
+
+def test_wide_boxes_cost_little_more_than_narrow_ones():
+    """However many cells they meet: one that met a whole lattice took as long as a thousand narrow ones."""
+    lattice = Lattice(np.zeros(3), np.ones(3), (24, 24, 24))
+    field = lattice.field(np.random.default_rng(0).normal(size=(24**3, 3)))
+    centres = np.random.default_rng(1).uniform(8.0, 16.0, (60, 3))
+
+    def cpu_s(half_width: float) -> float:
+        began = time.process_time()
+        field.gradient_bounds(centres, np.full((60, 3), half_width))
+        return time.process_time() - began
+
+    cpu_s(1.2), cpu_s(1000.0)  # compiled, if need be
+    assert min(cpu_s(1000.0) for _ in range(3)) < 3.0 * min(cpu_s(1.2) for _ in range(3))
+    assert min(cpu_s(7.0) for _ in range(3)) < 3.0 * min(cpu_s(1.2) for _ in range(3))
 
 
 def test_negative_half_widths_are_an_error():

@@ -37,9 +37,13 @@ from musclefit.fields.enclosures.bernstein import (
     value_matrix,
 )
 from musclefit.fields.enclosures.eigenvalues import NORM_ROUNDING, floor_of, norm_ceiling, widen_by_hull
+from musclefit.geometry.arrays import Float
 
 MAX_PARTS = 125
 """A box that is cut into more parts than this by the knots gets the coarse bound."""
+
+MAX_CELLS = 4096
+"""Of a lattice: boxes that touch more are bounded by its steepest cell anywhere, so that none takes long."""
 
 ROUNDING = 1e-13
 """Proved rounding, in units of the largest coefficient over the smallest spacing, of one entry of a derivative (fewer
@@ -138,15 +142,6 @@ def _scale(lattices, level, n):
 
 
 @njit(cache=True)
-def _coefficient(lattices, level, i, j, k, c, n):
-    """A coefficient of a level, 0 outside its lattice."""
-    shape, start = lattices[2][level], lattices[3][level]
-    if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]:
-        return lattices[4][start + ((i * shape[1] + j) * shape[2] + k) * n + c]
-    return 0.0
-
-
-@njit(cache=True)
 def _add_level(lattices, level, n, low, high, hull, work):
     """Add one level over low..high, mm, within one of its cells; gives the largest coefficient."""
     block, slopes, values, cell, lanes = work[0], work[1], work[2], work[3], work[4]
@@ -201,36 +196,72 @@ def _hull(lattices, linear, n, low, high, hull, work):
     return n * rounding
 
 
+def steepest_cells(coefficients: Float, spacing: Float) -> Float:
+    """Squared lengths of differences of neighbouring coefficients over the spacing.
+
+    Parameters
+    ----------
+    coefficients : (i, j, k, n) float64, mm
+        One in the plane along the third axis.
+    spacing : (3,) float64, mm
+
+    Returns
+    -------
+    (3, i + 1, j + 1, k + 1) float64
+        Along each axis, from the zeros ahead of the first coefficient on to those behind the last.
+    """
+    padded = np.pad(coefficients, ((1, 1), (1, 1), (1, 1), (0, 0)))
+    found = []
+    for axis in range(3):
+        ahead = np.diff(padded, axis=axis) / spacing[axis]
+        kept = tuple(slice(None) if k == axis else slice(-1) for k in range(3))
+        found.append((ahead**2).sum(axis=3)[kept])
+    return np.array(found)
+
+
 @njit(cache=True)
-def _coarse_radius(lattices, n, low, high, centre):
+def _steepest_of(squares, start, numbers, ranges):
+    """The largest of the squares of a level (see `steepest_cells`) along one axis, over a range of cells."""
+    worst = 0.0
+    for i in range(ranges[0, 0], ranges[0, 1]):
+        for j in range(ranges[1, 0], ranges[1, 1]):
+            row = start + (i * numbers[1] + j) * numbers[2]
+            for k in range(row + ranges[2, 0], row + ranges[2, 1]):
+                worst = max(worst, squares[k])
+    return worst
+
+
+@njit(cache=True)
+def _coarse_radius(lattices, coarse, n, low, high, centre):
     """Bound of the gradient's distance from ``centre``'s part of every level, from differences over whole cells."""
-    total, ranges = 0.0, np.zeros((3, 2), np.int64)
+    squares, wholes, starts, sizes = coarse
+    total, ranges, numbers = 0.0, np.zeros((3, 2), np.int64), np.zeros(3, np.int64)
+    if len(wholes) != len(lattices[3]):  # no box was said to be wide
+        return np.inf
     for level in range(len(lattices[3])):
         corner, spacing, shape = lattices[0][level], lattices[1][level], lattices[2][level]
-        ranges[2, 0], ranges[2, 1] = 0, 0
-        largest, finest, square = 0.0, np.inf, 0.0
+        numbers[:] = shape + 1
+        ranges[2, 0], ranges[2, 1] = 1, 2  # the only layer in the plane
+        finest, square = np.inf, 0.0
         for axis in range(n):
             # One cell more on both sides than the box touches, so that no rounding of its place matters.
             first, last = (low[axis] - corner[axis]) / spacing[axis], (high[axis] - corner[axis]) / spacing[axis]
-            ranges[axis, 0] = max(int(np.floor(max(first, -9.0))) - 2, -1)
-            ranges[axis, 1] = min(int(np.floor(min(last, shape[axis] + 9.0))) + 3, shape[axis])
+            reach = shape[axis] + 9.0
+            ranges[axis, 0] = max(int(np.floor(min(max(first, -9.0), reach))) - 1, 0)
+            ranges[axis, 1] = min(int(np.floor(min(max(last, -9.0), reach))) + 5, shape[axis] + 1)
             finest = min(finest, spacing[axis])
+        cells = 1
+        for axis in range(3):
+            cells *= max(ranges[axis, 1] - ranges[axis, 0], 0)
+        if cells == 0:
+            continue
+        each = numbers[0] * numbers[1] * numbers[2]
         for axis in range(n):
-            worst = 0.0
-            for i in range(ranges[0, 0], ranges[0, 1] + 1):
-                for j in range(ranges[1, 0], ranges[1, 1] + 1):
-                    for k in range(ranges[2, 0], ranges[2, 1] + 1):
-                        size = 0.0
-                        for c in range(n):
-                            here = _coefficient(lattices, level, i, j, k, c, n)
-                            ahead = _coefficient(
-                                lattices, level, i + (axis == 0), j + (axis == 1), k + (axis == 2), c, n
-                            )
-                            largest = max(largest, abs(here), abs(ahead))
-                            size += ((ahead - here) / spacing[axis]) ** 2
-                        worst = max(worst, size)
+            worst = wholes[level, axis]
+            if cells <= MAX_CELLS:
+                worst = _steepest_of(squares, starts[level] + axis * each, numbers, ranges)
             square += worst
-        total += np.sqrt(square) * NORM_ROUNDING + n * ROUNDING * largest / finest
+        total += np.sqrt(square) * NORM_ROUNDING + n * ROUNDING * sizes[level] / finest
     return total + norm_ceiling(centre)
 
 
@@ -247,12 +278,14 @@ def _work():
 
 
 @threaded(over="centres")
-def box_bounds(begin, end, lattices, linears, centres, half_widths, strain, gradients, found):
+def box_bounds(begin, end, lattices, coarse, linears, centres, half_widths, strain, gradients, found):
     """Bound the gradient or the strain of an affine part and all lattices over boxes.
 
     ``linears`` (1 or B, n, n) are the gradients of the affine part, one for all boxes or one for each; ``lattices`` are
     corners (L, 3), spacings (L, 3), shapes (L, 3), where each level's coefficients start (L,), and all coefficients one
-    after the other. Writes the gradients at the centres (B, n, n) and (B, 2): proved radius and the
+    after the other; ``coarse`` are all levels' squared differences (`steepest_cells`) one after the other, the largest
+    along each axis (L, 3), where each level's start (L,), and the levels' largest coefficients (L,), or empty arrays
+    where no box is wide. Writes the gradients at the centres (B, n, n) and (B, 2): proved radius and the
     rounding of the gradient at the centre; or, for strain, minus the lowest and plus the highest eigenvalue.
     """
     n = centres.shape[1]
@@ -279,7 +312,7 @@ def box_bounds(begin, end, lattices, linears, centres, half_widths, strain, grad
         if parts < 1 or parts > MAX_PARTS:
             difference = np.zeros((3, 3))
             difference[:n, :n] = centre[:n, :n] - linear
-            radius = _coarse_radius(lattices, n, low, high, difference)
+            radius = _coarse_radius(lattices, coarse, n, low, high, difference)
             best[:] = radius
             if strain:
                 best[0] = radius - floor_of(centre, n, 1.0)

@@ -32,10 +32,12 @@ print(ranges)
 # %% [markdown]
 # ## A pose, by the paper's loop
 # It is quick, and made of landmarks only: bones bend and muscles change, and the report says so. Leave out the method,
-# and bones stay rigid and muscles at their volume; that takes a minute.
+# and bones stay rigid and muscles at their volume; that takes a minute. Without `tets=False` the limb is filled with
+# tetrahedra too, which takes half a minute the first time.
 
 # %%
-done = mf.run("upper_limb", out=out, overrides=["drive.pose.elbow_deg=45", "deformer.method=yu2014"], pictures=False)
+loop = ["drive.pose.elbow_deg=45", "deformer.method=yu2014"]
+done = mf.run("upper_limb", out=out, overrides=loop, tets=False, pictures=False)
 print(done)
 
 # %% [markdown]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from running_scripts import Ended, run_script
 
 from musclefit.figures.rendering import rendering_problem
 
@@ -25,10 +24,9 @@ STARTED_ONLY |= {"forearm_moment_arms.py": "--plot"}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
 
 
-def run(script: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def run(script: str, *arguments: str, folder: Path) -> Ended:
     """Run an example as its first lines say, in a folder of its own."""
-    command = [sys.executable, str(EXAMPLES / script), *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return run_script(EXAMPLES / script, *arguments, folder=folder)
 
 
 def test_every_example_is_tested() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from threading import Event, current_thread
 
 import pytest
+from tiny_rigs import write_tiny_rig
 
 import musclefit as mf
 import musclefit.workflows.run as under_test
@@ -17,7 +18,7 @@ from musclefit.progress import Progress, Silent, Tick
 from musclefit.workflows.beside import Beside
 from musclefit.workflows.progress import TimedStages
 
-SMALL = ("deformer.method=yu2014", "compare.methods=[]", "tets.enabled=true")
+SMALL = ("compare.methods=[]", "tets.enabled=true")
 
 
 def test_both_go_on_at_once_and_the_result_is_waited_for() -> None:
@@ -66,7 +67,7 @@ def test_a_mesh_that_fails_ends_a_run_and_writes_nothing(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(under_test, "prepared_tets", failing)
     with pytest.raises(MeshError, match="the tetrahedraliser failed"):
-        mf.run("upper_limb", out=tmp_path / "run", overrides=SMALL, pictures=False, progress=Silent())
+        mf.run(write_tiny_rig(tmp_path / "rig"), out=tmp_path / "run", overrides=SMALL, pictures=False, progress=Silent())
     assert not (tmp_path / "run").exists()
 
 

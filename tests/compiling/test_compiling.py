@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-import shutil
+import runpy
 import subprocess
 import sys
 import time
@@ -64,12 +64,6 @@ print(*values.ravel())
 """
 """Compiles, or finds, the bounds of one kernel's values."""
 
-GRADIENTS = VALUES.replace(
-    "print(*values.ravel())",
-    "print(*values.ravel(), *field.gradient_bounds(at + 1.0, np.full((4, 3), 0.1))[0].ravel())",
-)
-"""Those of its gradients too, which take ten times as long to compile."""
-
 
 def test_what_was_compiled_of_one_kernel_is_never_taken_for_another(tmp_path):
     """Files of compiled code exchanged, as a process that is ended while it writes may leave them."""
@@ -94,23 +88,48 @@ def test_what_was_compiled_of_one_kernel_is_never_taken_for_another(tmp_path):
     assert {kernel: values(kernel) for kernel in right} == right
 
 
-def test_kernels_compiled_by_other_processes_do_not_stand_in_for_each_other(tmp_path):
+LOOPS = """
+def made(scale, compiled):
+    @compiled
+    def long(x):
+        y = x
+{long}
+        return y
+    @compiled
+    def sums(x):
+        return long(x) + long(x + 0.5)
+    return sums
+""".format(long="\n".join(f"        y = (y if y > {k}.5 else -y) * scale + x" for k in range(80)))
+"""Functions within a function, too long to be copied into the one that calls them."""
+
+SUMS = """
+import sys
+from pathlib import Path
+from musclefit import compiling
+compiling._PACKAGE = Path(sys.argv[1])
+sys.path.insert(0, sys.argv[1])
+from loops import made
+for scale in sys.argv[2:]:
+    print(made(float(scale), compiling.njit(cache=True))(3.0))
+"""
+
+
+def test_loops_compiled_by_other_processes_do_not_stand_in_for_each_other(tmp_path):
     """Numba counts what a process compiles: what two processes compiled may have one symbol, and is linked by it."""
+    (tmp_path / "loops.py").write_text(LOOPS, encoding="utf-8")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CACHE")}
+    environment["MUSCLEFIT_CACHE"] = str(tmp_path / "cache")
 
-    def values(folder: Path, *kernels: str) -> list[str]:
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CACHE")}
-        environment["MUSCLEFIT_CACHE"] = str(folder)
-        code = f"import sys\nnames = sys.argv[1:]\nfor sys.argv[1] in names:\n    exec({GRADIENTS!r})"
-        command = [sys.executable, "-c", code, *kernels]
+    def values(*scales: str) -> list[str]:
+        command = [sys.executable, "-c", SUMS, str(tmp_path), *scales]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        return done.stdout.splitlines()
+        return done.stdout.split()
 
-    alone = [values(tmp_path / name, name)[0] for name in ("gaussian", "r3")]
-    shutil.copytree(tmp_path / "gaussian", tmp_path / "shared")
-    for file in (tmp_path / "shared").rglob("*.nb?"):
-        if ".locals." not in file.name:  # compiled again, so that both processes count alike
-            file.unlink()
-    assert values(tmp_path / "shared", "r3", "gaussian") == alone[::-1]
+    made = runpy.run_path(str(tmp_path / "loops.py"))["made"]
+    right = {scale: str(made(float(scale), lambda loop: loop)(3.0)) for scale in ("0.25", "0.5")}
+    assert len(set(right.values())) == 2
+    assert values("0.25") == [right["0.25"]]
+    assert values("0.5", "0.25") == [right["0.5"], right["0.25"]]
 
 
 def test_a_folder_that_cannot_be_made_is_done_without(tmp_path):

@@ -67,7 +67,9 @@ def test_a_mesh_that_fails_ends_a_run_and_writes_nothing(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(under_test, "prepared_tets", failing)
     with pytest.raises(MeshError, match="the tetrahedraliser failed"):
-        mf.run(write_tiny_rig(tmp_path / "rig"), out=tmp_path / "run", overrides=SMALL, pictures=False, progress=Silent())
+        mf.run(
+            write_tiny_rig(tmp_path / "rig"), out=tmp_path / "run", overrides=SMALL, pictures=False, progress=Silent()
+        )
     assert not (tmp_path / "run").exists()
 
 

@@ -27,6 +27,7 @@ def run_script(script: Path, *arguments: str, folder: Path) -> Ended:
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         patch.chdir(folder)
         patch.setattr(sys, "argv", [str(script), *arguments])
+        patch.setattr(sys, "path", [str(script.parent), *sys.path])
         try:
             runpy.run_path(str(script), run_name="__main__")
         except SystemExit as ended:

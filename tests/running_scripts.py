@@ -1,4 +1,4 @@
-"""A script run as ``python SCRIPT ARGUMENTS`` would run it, in the tests' own process, which has imported everything."""
+"""Runs a script as ``python SCRIPT ARGUMENTS`` would, but in the process of the tests, where all is imported."""
 
 from __future__ import annotations
 

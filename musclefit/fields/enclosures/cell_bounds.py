@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from musclefit.compiling import njit, threaded
-from musclefit.fields.enclosures.solenoidal import add_level, level_workspace
+from musclefit.fields.enclosures.bernstein import derivative_matrix, value_matrix
+from musclefit.fields.enclosures.solenoidal import ROUNDING, curvature_matrix
 from musclefit.geometry.arrays import Float, Int, Points
 
 GRADIENT, STRAIN, BEND = 0, 1, 2
@@ -56,9 +57,8 @@ class Ceilings:
     def of(cls, low: Float, spacing: float, *, numbers: NDArray[np.int32], coefficients: Points) -> Ceilings:
         """Of a level: see `PotentialLevel` for what it is given by."""
         sizes = tuple(n + 3 for n in numbers.shape)
-        seen, cells = np.zeros(sizes, dtype=np.bool_), np.zeros((KINDS, *sizes), dtype=np.float32)
-        _mark_cells(numbers, seen)
-        _fill_cells(low, spacing, numbers, coefficients, seen, cells)
+        cells = np.zeros((KINDS, *sizes), dtype=np.float32)
+        _fill_cells(low, spacing, numbers, coefficients, cells)
         pyramid = [cells]
         while max(pyramid[-1].shape[1:]) > 1:
             below = pyramid[-1]
@@ -75,63 +75,141 @@ class Ceilings:
 
 
 @njit(cache=True)
-def _mark_cells(numbers, seen):
-    """Cells in which some spline is not zero."""
-    for i in range(numbers.shape[0]):
-        for j in range(numbers.shape[1]):
-            for k in range(numbers.shape[2]):
-                if numbers[i, j, k] >= 0:
-                    seen[i : i + 4, j : j + 4, k : k + 4] = True
+def _slab(numbers, coefficients, i, j, k, whole, flat, once, slab):
+    """What the splines of one lattice point along the third axis bring to the cells (i, j) of the first two.
 
-
-@threaded(over="seen")
-def _fill_cells(begin, end, low, spacing, numbers, coefficients, seen, cells):
-    for i in range(begin, end):
-        work, hull = level_workspace(), np.zeros((9, 64))
-        a, b = np.zeros(3), np.zeros(3)
-        for j in range(seen.shape[1]):
-            for k in range(seen.shape[2]):
-                if not seen[i, j, k]:
-                    continue
-                hull[:, :] = 0.0
-                a[0], a[1], a[2] = low[0] + (i - 2) * spacing, low[1] + (j - 2) * spacing, low[2] + (k - 2) * spacing
-                for axis in range(3):
-                    b[axis] = a[axis] + spacing
-                rounding = add_level(low, spacing, numbers, coefficients, a, b, hull, work)
-                steepest, strained = 0.0, 0.0
-                for lane in range(64):
-                    whole, own = 0.0, 0.0
-                    for row in range(9):
-                        whole += hull[row, lane] * hull[row, lane]
-                    for axis in range(3):
-                        own += hull[4 * axis, lane] * hull[4 * axis, lane]
-                    d, e = hull[1, lane] + hull[3, lane], hull[2, lane] + hull[6, lane]
-                    f = hull[5, lane] + hull[7, lane]
-                    steepest = max(steepest, whole)
-                    strained = max(strained, own + 0.5 * (d * d + e * e + f * f))
-                # 1.000001: of the norms, and of single precision.
-                cells[0, i, j, k] = (np.sqrt(steepest) + 4.0 * rounding) * 1.000001
-                cells[1, i, j, k] = (np.sqrt(2.0 / 3.0 * strained) + 4.0 * rounding) * 1.000001
-                bend = _largest_step(hull, 16) + _largest_step(hull, 4) + _largest_step(hull, 1)
-                cells[2, i, j, k] = (3.0 * np.sqrt(bend) + 24.0 * rounding) / spacing * 1.000001
+    Writes, for each component b of the potential and each pair of orders x and y of derivatives along these axes, the
+    16 Bernstein coefficients along them to ``slab`` (3, 3, 3, 16); gives the largest coefficient, -1 where none is.
+    """
+    largest = -1.0
+    flat[:, :] = 0.0
+    if k < numbers.shape[2]:
+        for p in range(4):
+            for q in range(4):
+                row = -1
+                if 0 <= i - 3 + p < numbers.shape[0] and 0 <= j - 3 + q < numbers.shape[1]:
+                    row = numbers[i - 3 + p, j - 3 + q, k]
+                if row >= 0:
+                    largest = max(largest, 0.0)
+                    for b in range(3):
+                        flat[b, 4 * p + q] = coefficients[row, b]
+                        largest = max(largest, abs(coefficients[row, b]))
+    if largest < 0.0:
+        slab[:] = 0.0
+        return largest
+    for b in range(3):
+        for x in range(3):
+            for p in range(4):
+                for q in range(4):
+                    total = 0.0
+                    for r in range(4):
+                        total += whole[x, p, r] * flat[b, 4 * r + q]
+                    once[4 * p + q] = total
+            for y in range(3 - x):
+                for p in range(4):
+                    for q in range(4):
+                        total = 0.0
+                        for r in range(4):
+                            total += whole[y, q, r] * once[4 * p + r]
+                        slab[b, x, y, 4 * p + q] = total
+    return largest
 
 
 @njit(cache=True)
-def _largest_step(hull, stride):
-    """The largest squared norm of the difference of neighbours along the axis of a stride.
+def _cell_hull(whole, slabs, k, hull):
+    """(9, 64) Bernstein coefficients of the curl's gradient in a cell, from the slabs of its four points."""
+    hull[:, :] = 0.0
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3  # curl_i = d_a Q_b - d_b Q_a
+        for axis in range(3):
+            for turn in range(2):
+                along, of = (a, b) if turn == 0 else (b, a)
+                x, y = int(axis == 0) + int(along == 0), int(axis == 1) + int(along == 1)
+                sign, matrix, row = 1.0 - 2.0 * turn, whole[2 - x - y], hull[3 * i + axis]
+                s0, s1 = slabs[(k + 1) % 4, of, x, y], slabs[(k + 2) % 4, of, x, y]  # of the points k - 3 to k
+                s2, s3 = slabs[(k + 3) % 4, of, x, y], slabs[k % 4, of, x, y]
+                for s in range(4):
+                    w0, w1 = sign * matrix[s, 0], sign * matrix[s, 1]
+                    w2, w3 = sign * matrix[s, 2], sign * matrix[s, 3]
+                    for lane in range(16):
+                        row[16 * s + lane] += w0 * s0[lane] + w1 * s1[lane] + w2 * s2[lane] + w3 * s3[lane]
 
-    Of Bernstein coefficients these span the derivative along it, in units of the degree, 3, over the cell.
+
+@njit(cache=True)
+def _largest(size, eight):
+    """The largest of 64 numbers, eight at a time."""
+    eight[:] = 0.0
+    for start in range(0, 64, 8):
+        for lane in range(8):
+            eight[lane] = max(eight[lane], size[start + lane])
+    return eight.max()
+
+
+@njit(cache=True)
+def _norms(hull, size, eight, found):
+    """The largest squares of the gradient's and the strain's Frobenius norm, and of that of the derivatives.
+
+    The last in units of the spacing: along an axis differences of neighbouring Bernstein coefficients span it, times
+    the degree, 3.
     """
-    largest = 0.0
+    size[:] = 0.0
+    for row in range(9):
+        for lane in range(64):
+            size[lane] += hull[row, lane] * hull[row, lane]
+    found[0] = _largest(size, eight)
     for lane in range(64):
-        if lane // stride % 4 == 3:
-            continue
-        size = 0.0
+        own = hull[0, lane] * hull[0, lane] + hull[4, lane] * hull[4, lane] + hull[8, lane] * hull[8, lane]
+        d, e, f = hull[1, lane] + hull[3, lane], hull[2, lane] + hull[6, lane], hull[5, lane] + hull[7, lane]
+        size[lane] = own + 0.5 * (d * d + e * e + f * f)
+    found[1] = _largest(size, eight)
+    found[2] = 0.0
+    for stride in (1, 4, 16):
+        size[:] = 0.0
         for row in range(9):
-            step = hull[row, lane + stride] - hull[row, lane]
-            size += step * step
-        largest = max(largest, size)
-    return largest
+            for lane in range(64 - stride):
+                step = hull[row, lane + stride] - hull[row, lane]
+                size[lane] += step * step
+        for last in range(3 * stride, 64, 4 * stride):  # those have no neighbour
+            size[last : last + stride] = 0.0
+        found[2] += 9.0 * _largest(size, eight)
+
+
+@njit(cache=True)
+def _whole_cell():
+    """(3, 4, 4): Bernstein coefficients over a cell of unit width of a spline and its derivatives up to the second."""
+    whole = np.zeros((3, 4, 4))
+    value_matrix(0.0, 1.0, whole[0])
+    derivative_matrix(0.0, 1.0, 1.0, whole[1])
+    curvature_matrix(0.0, 1.0, 1.0, whole[2])
+    return whole
+
+
+@threaded(over="cells", axis=1)
+def _fill_cells(begin, end, low, spacing, numbers, coefficients, cells):
+    whole, slabs, largest = _whole_cell(), np.zeros((4, 3, 3, 3, 16)), np.zeros(4)
+    flat, once, hull, found = np.zeros((3, 16)), np.zeros(16), np.zeros((9, 64)), np.zeros(3)
+    size, eight = np.zeros(64), np.zeros(8)
+    unit = 1.0 / (spacing * spacing)
+    for i in range(begin, end):
+        for j in range(cells.shape[2]):
+            largest[:] = -1.0
+            slabs[:] = 0.0
+            for k in range(cells.shape[3]):
+                largest[k % 4] = _slab(numbers, coefficients, i, j, k, whole, flat, once, slabs[k % 4])
+                most = largest.max()
+                if most <= 0.0:
+                    continue
+                reach = 0.0
+                for axis, cell in enumerate((i, j, k)):
+                    start = low[axis] + (cell - 2) * spacing
+                    reach = max(reach, abs(start), abs(start + spacing), abs(low[axis]))
+                rounding = ROUNDING * most * (1.0 + 2.0 * reach / spacing)
+                _cell_hull(whole, slabs, k, hull)
+                _norms(hull, size, eight, found)
+                # 1.000001: of the norms, and of single precision.
+                cells[0, i, j, k] = unit * (np.sqrt(found[0]) + 4.0 * rounding) * 1.000001
+                cells[1, i, j, k] = unit * (np.sqrt(2.0 / 3.0 * found[1]) + 4.0 * rounding) * 1.000001
+                cells[2, i, j, k] = unit * (np.sqrt(found[2]) + 24.0 * rounding) / spacing * 1.000001
 
 
 @threaded(over="above", axis=1)

@@ -47,7 +47,7 @@ def _level(shapes, numbers_of, coefficients_of, level):
 
 
 @njit(cache=True)
-def _curvature_matrix(t0, t1, h, out):
+def curvature_matrix(t0, t1, h, out):
     """(4, 4): cubic Bernstein coefficients over [t0, t1] of the second derivative, from the spline's coefficients."""
     for row in range(4):
         t = t0 + (t1 - t0) * row / 3.0
@@ -93,8 +93,8 @@ def _add_curl(b, x, y, z, column, hull):
 
 
 @njit(cache=True)
-def level_workspace():
-    """What `add_level` works in."""
+def _level_workspace():
+    """What `_add_level` works in."""
     return (
         np.zeros((3, 64)),
         np.zeros(64),
@@ -106,7 +106,7 @@ def level_workspace():
 
 
 @njit(cache=True)
-def add_level(low, h, numbers, coefficients, a0, a1, hull, work):
+def _add_level(low, h, numbers, coefficients, a0, a1, hull, work):
     """Add one level over a0..a1, mm, within one of its cells, to the Bernstein coefficients; gives its rounding."""
     block, once, twice, column, matrices, cell = work
     reach = 0.0
@@ -124,7 +124,7 @@ def add_level(low, h, numbers, coefficients, a0, a1, hull, work):
         t1 = min(max((a1[axis] - low[axis]) / h - cell[axis], t0), 1.0)
         value_matrix(t0, t1, matrices[0, axis])
         derivative_matrix(t0, t1, h, matrices[1, axis])
-        _curvature_matrix(t0, t1, h, matrices[2, axis])
+        curvature_matrix(t0, t1, h, matrices[2, axis])
     for b in range(3):
         for x in range(3):
             along_first(matrices[x, 0], block[b], once)
@@ -147,7 +147,7 @@ def _bound_box(
     lows, spacings, shapes, numbers_of, coefficients_of, added, centre, half, ceiling, strain, gradient, found
 ):
     """One box: writes the gradient at its centre, and the radius or the range of eigenvalues."""
-    work = level_workspace()
+    work = _level_workspace()
     low, high, knots, counts = np.zeros(3), np.zeros(3), np.zeros((3, MAX_KNOTS)), np.ones(3, np.int64)
     hull, parts, size = np.zeros((9, 64)), 1, 0.0
     for axis in range(3):
@@ -174,7 +174,7 @@ def _bound_box(
         rounding = 1e-15 * size
         for level in range(len(spacings)):
             numbers, coefficients = _level(shapes, numbers_of, coefficients_of, level)
-            rounding += add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
+            rounding += _add_level(lows[level], spacings[level], numbers, coefficients, a, b, hull, work)
         if part < 0:
             for row in range(9):
                 gradient[row // 3, row % 3] = hull[row, 0]

@@ -73,3 +73,8 @@ def run_worker(
     if sys.platform != "win32" and code == -signal.SIGXCPU:
         return code, f"no end within {cpu_s:g} s of processor time"
     return code, complaints.read_text(encoding="utf-8", errors="replace")
+
+
+def usable_processors() -> int:
+    """Of this machine, those that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

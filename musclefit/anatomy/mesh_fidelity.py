@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from musclefit.anatomy.findings import Finding
-from musclefit.geometry.arrays import Bool, Points
+from musclefit.geometry.arrays import Bool, Int, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.tets.topology import TetFaces, interface
@@ -127,11 +127,15 @@ def pieces_of_tets(faces: TetFaces, *, inside: Bool) -> int:
     inside : (k,) bool
         The tets.
     """
+    return len(np.unique(piece_of_tet(faces, inside=inside)[inside]))
+
+
+def piece_of_tet(faces: TetFaces, *, inside: Bool) -> Int:
+    """(k,) a number for each tet, the same for those of some that faces join; see `pieces_of_tets`."""
     pairs = faces.tets[faces.tets[:, 1] >= 0]
     pairs = pairs[inside[pairs].all(axis=1)]
     graph = coo_matrix((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(len(inside),) * 2)
-    _, labels = connected_components(graph, directed=False)
-    return len(np.unique(labels[inside]))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def pieces_of_surface(surface: TriMesh) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +11,7 @@ from cyclopts import Parameter
 from musclefit.cli.collect import PASSED, ParquetOption, print_cohort
 from musclefit.cli.options import JsonOption, QuietOption, print_json
 from musclefit.errors import InputError
+from musclefit.worker_processes import usable_processors
 from musclefit.workflows.progress import TimedStages
 
 
@@ -66,7 +66,7 @@ def batch(
             print(f"wrote {script}; give it to sbatch, and afterwards: musclefit collect {folder}")
         return PASSED
     if estimate:
-        told = studies.forecast(study, out=folder, workers=workers or _processors())
+        told = studies.forecast(study, out=folder, workers=workers or usable_processors())
         if json:
             print_json({**asdict(told), "wall_s": told.wall_s})
         else:
@@ -76,14 +76,10 @@ def batch(
         cohort = studies.batch(
             study,
             out=folder,
-            workers=workers or _processors(),
+            workers=workers or usable_processors(),
             scheduler=scheduler,
             only=only,
             parquet=parquet,
             progress=stages,
         )
     return print_cohort(cohort, quiet=quiet, json=json)
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

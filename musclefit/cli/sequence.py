@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_text
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +11,7 @@ from cyclopts import Parameter
 from musclefit.cli.options import QuietOption, SetOption
 from musclefit.io.rig_names import find_rig
 from musclefit.rig.motion import Interpolation
+from musclefit.worker_processes import usable_processors
 from musclefit.workflows.progress import TimedStages
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def sequence(
             out=folder,
             frames=frames,
             interpolation=interpolation,
-            workers=workers or _processors(),
+            workers=workers or usable_processors(),
             overrides=set,
             between=not no_between,
             pictures=not no_pictures,
@@ -92,10 +92,6 @@ def sequence(
     if not quiet:
         _print(report, folder)
     return PASSED if report.verdict == "passed" else FAILED
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _print(report: SequenceReport, folder: Path) -> None:

@@ -114,10 +114,13 @@ class TetCache:
         Made when something is first written.
     limit_mb : float
         Entries that were used longest ago are removed until the folder holds no more, MB (10⁶ bytes).
+    passes : int
+        Of the tetrahedraliser over a mesh.
     """
 
     folder: Path
     limit_mb: float = DEFAULT_LIMIT_MB
+    passes: int = OPTIMISATION_PASSES
 
     def plan(self, anatomy: Anatomy, rules: LayerRules) -> TetPlan:
         """What `tetrahedralise` will take."""
@@ -144,7 +147,7 @@ class TetCache:
             except _UNREADABLE as error:
                 reason = f"{type(error).__name__}: {error}"
                 notes.append(f"the cached tets in {path} could not be read ({reason}) and were made anew")
-        made = tetrahedralise(anatomy, rules, progress=progress)
+        made = tetrahedralise(anatomy, rules, passes=self.passes, progress=progress)
         try:
             notes += self._keep(path, made)
         except OSError as error:
@@ -154,7 +157,7 @@ class TetCache:
 
     def path_of(self, anatomy: Anatomy, rules: LayerRules) -> Path:
         """Where the tets of an anatomy by these rules are kept."""
-        return self.folder / f"tets-{content_hash(anatomy, rules)}.npz"
+        return self.folder / f"tets-{content_hash(anatomy, rules, passes=self.passes)}.npz"
 
     def _keep(self, path: Path, tets: TetAnatomy) -> list[str]:
         """Write an entry and remove the oldest others until the limit holds; what was done beside writing, in words."""
@@ -193,14 +196,14 @@ class TetCache:
             yield file, size
 
 
-def content_hash(anatomy: Anatomy, rules: LayerRules) -> str:
-    """SHA-256 over all that tets depend on: names, kinds, vertices, faces, rules, the tetrahedraliser's version."""
+def content_hash(anatomy: Anatomy, rules: LayerRules, *, passes: int = OPTIMISATION_PASSES) -> str:
+    """SHA-256 over all that tets depend on: tissues, rules, the tetrahedraliser's passes and version."""
     digest = hashlib.sha256()
 
     def add(part: bytes) -> None:
         digest.update(len(part).to_bytes(8, "little") + part)
 
-    for text in (_LAYOUT, version("pytetwild"), str(OPTIMISATION_PASSES), STOP_ENERGY.hex()):
+    for text in (_LAYOUT, version("pytetwild"), str(passes), STOP_ENERGY.hex()):
         add(text.encode())
     add(json.dumps(asdict(rules), sort_keys=True).encode())
     for tissue in anatomy:

@@ -10,6 +10,7 @@ import math
 import signal
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -81,13 +82,17 @@ def estimate(anatomy: Anatomy, rules: LayerRules) -> Estimate:
     )
 
 
-def tetrahedralise(anatomy: Anatomy, rules: LayerRules, *, progress: Progress = _UNWATCHED) -> TetAnatomy:
+def tetrahedralise(
+    anatomy: Anatomy, rules: LayerRules, *, passes: int = OPTIMISATION_PASSES, progress: Progress = _UNWATCHED
+) -> TetAnatomy:
     """Fill all tissues with tetrahedra in one go, by fTetWild; see `anatomy.tetrahedra.tetrahedralise_with`.
 
     Parameters
     ----------
     anatomy : Anatomy
     rules : LayerRules
+    passes : int
+        Over the mesh, at least 1.
     progress : Progress
 
     Raises
@@ -97,7 +102,7 @@ def tetrahedralise(anatomy: Anatomy, rules: LayerRules, *, progress: Progress = 
     MeshError
         fTetWild failed, or no tet lies in a tissue.
     """
-    return tetrahedralise_with(fill, anatomy, rules=rules, progress=progress)
+    return tetrahedralise_with(partial(fill, passes=passes), anatomy, rules=rules, progress=progress)
 
 
 def fill(
@@ -107,6 +112,7 @@ def fill(
     edge_length_fraction: float,
     envelope_fraction: float,
     sizing: SizingField = NO_SIZING,
+    passes: int = OPTIMISATION_PASSES,
     tick: Tick = lambda _: None,
 ) -> tuple[Points, Tets]:
     """Tetrahedra around and inside all surfaces together, by fTetWild in a process of its own.
@@ -119,6 +125,8 @@ def fill(
         Of the bounding box's diagonal.
     sizing : SizingField
         Where edges shall be shorter.
+    passes : int
+        Over the mesh, at least 1.
     tick : function of a fraction
         Told how far it is, by fTetWild's own words.
 
@@ -137,7 +145,7 @@ def fill(
     ----------
     Y. Hu et al., Fast tetrahedral meshing in the wild, ACM Trans. Graph. 39 (2020) 117.
     """
-    settings = (edge_length_fraction.hex(), envelope_fraction.hex(), str(OPTIMISATION_PASSES), STOP_ENERGY.hex())
+    settings = (edge_length_fraction.hex(), envelope_fraction.hex(), str(passes), STOP_ENERGY.hex())
     with scratch_folder("musclefit-meshing-") as folder:
         for name, array, kind in (
             ("vertices", vertices, np.float64),
@@ -147,7 +155,8 @@ def fill(
             ("sizing_lengths", sizing.lengths, np.float64),
         ):
             np.save(folder / f"{name}.npy", np.asarray(array, dtype=kind), allow_pickle=False)
-        code, said = run_worker(_WORKER, settings, folder=folder, fractions=fractions_done, tick=tick)
+        done = partial(fractions_done, passes=passes)
+        code, said = run_worker(_WORKER, settings, folder=folder, fractions=done, tick=tick)
         if code:
             raise MeshError(
                 f"the tetrahedraliser failed on {len(faces)} triangles ({_how(code, said)}); choose a larger "
@@ -159,8 +168,8 @@ def fill(
         )
 
 
-def fractions_done(lines: Iterable[str]) -> Iterable[float]:
-    """How far fTetWild is, 0 to 1 and never falling, from what it prints."""
+def fractions_done(lines: Iterable[str], *, passes: int = OPTIMISATION_PASSES) -> Iterable[float]:
+    """How far fTetWild is, 0 to 1 and never falling, from what it prints in so many passes."""
     done, operations = 0.0, 0
     for line in lines:
         if line.startswith("initializing"):
@@ -169,7 +178,7 @@ def fractions_done(lines: Iterable[str]) -> Iterable[float]:
             if operations == 0:
                 done = _COARSENED
             else:
-                of_all = min(1.0, operations / (_OPERATIONS_PER_PASS * OPTIMISATION_PASSES))
+                of_all = min(1.0, operations / (_OPERATIONS_PER_PASS * passes))
                 done = max(done, _COARSENED + (_PASSES - _COARSENED) * of_all)
             operations += 1
         elif "postprocessing" in line:

@@ -238,13 +238,14 @@ def measure_at_rest(
     belly: Belly,
     pieces: int,
     missed_mm: float,
+    loose_share: float = 0.0,
     source: str = "",
     data_share: float | None = None,
 ) -> MuscleArchitecture:
     """The numbers of one muscle at rest; fibres that never run in the belly count for the paths alone.
 
     ``source`` says where known fibres come from; empty: from the flow. ``data_share`` is the share of the volume where
-    a direction is known.
+    a direction is known, ``loose_share`` that in pieces beside the largest.
     """
     lines = Lines.of(found, belly)
     paths, fibres, angles = lines.measure(
@@ -258,7 +259,8 @@ def measure_at_rest(
     if field.left_out_share > 0.0:
         reasons.append(f"{100.0 * field.left_out_share:.2g} % of its volume is in pieces that do not reach both ends")
     if pieces > 1:
-        reasons.append(f"its tetrahedra are in {pieces} pieces")
+        loose = f"{100.0 * loose_share:.2g} % of its volume is joined to the rest at no face"
+        reasons.append(f"its tetrahedra are in {pieces} pieces: {loose}")
     if field.even_flux and not any(field.sheets):
         reasons.append("its flow is driven by an even flux: held potentials leave too much of it without direction")
     return MuscleArchitecture(

@@ -60,12 +60,17 @@ from musclefit.rig.job import Job
 from musclefit.rig.joints import JointMotions
 from musclefit.rig.paths import KeyframeMotions
 from musclefit.rig.table_reader import suggestion
+from musclefit.worker_processes import usable_processors
+from musclefit.workflows.beside import at_once
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
 from musclefit.workflows.run import Run
 
 LINES = 200
 """Streamlines of each muscle."""
+
+MESHED_AT_ONCE = 4
+"""Muscles at most, each in a process that takes up to a quarter of a GB."""
 
 SCHEMA_VERSION = "1.0"
 
@@ -88,7 +93,9 @@ class FibredMuscle:
     carried_points : (p, 3) float64 or None
         Where the map takes the points of all lines, mm; None where nothing was deformed.
     pieces : int
-        Of the tetrahedra.
+        Of the tetrahedra, joined by faces.
+    loose_share : float
+        Share of their volume in pieces beside the largest.
     missed_mm : float
         How far a place of the surface is from them, at most.
     source : str
@@ -104,6 +111,7 @@ class FibredMuscle:
     lines: Streamlines
     belly: Belly
     pieces: int
+    loose_share: float
     missed_mm: float
     source: str = ""
     data_share: float | None = None
@@ -378,7 +386,7 @@ def _fibres(
     progress: Progress,
 ) -> tuple[dict[str, FibredMuscle], dict[str, str]]:
     """The muscles with fibres, and those without and why."""
-    cache = TetCache(default_cache_folder(), limit_mb=default_limit_mb())
+    tets_of = _tetrahedra(job, ends, lengthwise, progress=progress)
     fibred: dict[str, FibredMuscle] = {}
     left_out: dict[str, str] = {}
     with progress.stage("fibres") as tick:
@@ -386,10 +394,18 @@ def _fibres(
             muscle: Tissue = job.anatomy[one.muscle]
             along = lengthwise[one.muscle]
             try:
-                tets = muscle_tets(muscle, cache, sections=along.sections, progress=progress)
+                tets = tets_of[one.muscle]
+                if isinstance(tets, MeshError):
+                    raise tets
                 field = _flow(one, tets, reach_mm=within_mm)
                 made = FibredMuscle(
-                    one, field, Streamlines.none(), belly_of(muscle.surface, along), tets.pieces, tets.missed_mm
+                    one,
+                    field,
+                    Streamlines.none(),
+                    belly_of(muscle.surface, along),
+                    tets.pieces,
+                    tets.loose_share,
+                    tets.missed_mm,
                 )
                 if one.muscle in known:
                     fibred[one.muscle] = _of_data(made, muscle.surface, known[one.muscle], reach_mm=reach_mm)
@@ -399,6 +415,24 @@ def _fibres(
                 left_out[one.muscle] = str(error)
             tick(done / len(ends))
     return fibred, left_out
+
+
+def _tetrahedra(
+    job: Job, ends: Sequence[MuscleEnds], lengthwise: Mapping[str, Lengthwise], *, progress: Progress
+) -> Mapping[str, MuscleTets | MeshError]:
+    """Each muscle's tetrahedra, from the cache or made, some at once; or why there are none."""
+    cache = TetCache(default_cache_folder(), limit_mb=default_limit_mb())
+    muscles = sorted((job.anatomy[one.muscle] for one in ends), key=lambda muscle: -len(muscle.surface.faces))
+
+    def fill(muscle: Tissue, stages: Progress) -> MuscleTets | MeshError:
+        try:
+            return muscle_tets(muscle, cache, sections=lengthwise[muscle.name].sections, progress=stages)
+        except MeshError as error:
+            return error
+
+    with progress.stage("muscles' tetrahedra") as tick:
+        made = at_once(fill, muscles, threads=min(usable_processors(), MESHED_AT_ONCE), tick=tick)
+    return {muscle.name: tets for muscle, tets in zip(muscles, made, strict=True)}
 
 
 def _flow(ends: MuscleEnds, tets: MuscleTets, *, reach_mm: float) -> FibreField:
@@ -438,6 +472,7 @@ def _measured(job: Job, one: FibredMuscle) -> MuscleArchitecture:
         one.lines,
         belly=one.belly,
         pieces=one.pieces,
+        loose_share=one.loose_share,
         missed_mm=one.missed_mm,
         source=one.source,
         data_share=one.data_share,

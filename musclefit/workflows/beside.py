@@ -1,15 +1,16 @@
-"""Work that is done beside other work, in a thread of its own, and is given up when the other fails."""
+"""Work that is done beside other work, in threads of its own, and is given up when the other fails."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from threading import Event
 from typing import Generic, TypeVar
 
-from musclefit.progress import Progress, Tick
+from musclefit.progress import Progress, Silent, Tick
 
+Given = TypeVar("Given")
 Done = TypeVar("Done")
 
 LOOKS_EVERY_S = 0.2
@@ -18,6 +19,39 @@ LOOKS_EVERY_S = 0.2
 
 class GivenUpError(Exception):
     """Raised within work that nobody waits for any more."""
+
+
+def at_once(
+    work: Callable[[Given, Progress], Done], given: Sequence[Given], *, threads: int, tick: Tick
+) -> tuple[Done, ...]:
+    """The same work on several things, some at a time, each in a thread of its own.
+
+    Parameters
+    ----------
+    work : callable
+        Takes one of the things and a progress, at whose ticks it is given up when other work fails, or the caller is
+        interrupted. What any work raises is raised.
+    given : sequence
+        The longest first, so that no thread is left alone with it at the end.
+    threads : int
+    tick : function of a fraction
+        Told, from the calling thread, what share of the things is done.
+    """
+    stop = Event()
+    with ThreadPoolExecutor(max(1, threads), thread_name_prefix="musclefit-beside") as pool:
+        futures = [pool.submit(work, one, _Stopped(Silent(), stop)) for one in given]
+        try:
+            waiting = set(futures)
+            while waiting:
+                done, waiting = wait(waiting, timeout=LOOKS_EVERY_S, return_when=FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                tick(1.0 - len(waiting) / len(futures))
+        except BaseException:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return tuple(future.result() for future in futures)
 
 
 class Beside(Generic[Done]):

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, current_thread
+from threading import Barrier, Event, current_thread
 
 import pytest
 from tiny_rigs import write_tiny_rig
@@ -15,7 +15,7 @@ import musclefit as mf
 import musclefit.workflows.run as under_test
 from musclefit.errors import MeshError
 from musclefit.progress import Progress, Silent, Tick
-from musclefit.workflows.beside import Beside
+from musclefit.workflows.beside import Beside, at_once
 from musclefit.workflows.progress import TimedStages
 
 SMALL = ("compare.methods=[]", "tets.enabled=true")
@@ -47,6 +47,43 @@ def test_work_that_nobody_waits_for_is_given_up() -> None:
 
     with pytest.raises(KeyboardInterrupt), Beside(work, progress=Silent(), waiting=Silent()):
         raise KeyboardInterrupt
+    assert given_up.is_set()
+
+
+def test_things_are_worked_on_two_at_a_time_and_come_back_in_their_order() -> None:
+    both = Barrier(2, timeout=10.0)
+    ticks: list[float] = []
+
+    def work(number: int, _: Progress) -> tuple[int, str]:
+        both.wait()
+        return number, current_thread().name
+
+    done = at_once(work, range(4), threads=2, tick=ticks.append)
+    assert [number for number, _ in done] == [0, 1, 2, 3]
+    assert {name for _, name in done}.isdisjoint({current_thread().name})
+    assert ticks == sorted(ticks)
+    assert ticks[-1] == 1.0
+    assert at_once(work, (), threads=2, tick=ticks.append) == ()
+
+
+def test_where_one_fails_the_others_are_given_up() -> None:
+    begun, given_up = Event(), Event()
+
+    def work(what: str, progress: Progress) -> None:
+        if what == "bad":
+            assert begun.wait(10.0)
+            raise MeshError("no mesh")
+        try:
+            with progress.stage(what) as tick:
+                begun.set()
+                while True:
+                    tick(0.5)
+                    time.sleep(0.01)
+        finally:
+            given_up.set()
+
+    with pytest.raises(MeshError, match="no mesh"):
+        at_once(work, ("endless", "bad", "waiting"), threads=2, tick=lambda _: None)
     assert given_up.is_set()
 
 

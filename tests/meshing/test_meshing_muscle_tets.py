@@ -1,0 +1,95 @@
+"""Meshing one muscle: when a mesh is made again with a narrower envelope, and what is told of the last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from tet_blocks import block
+from tiny_rigs import egg
+
+from musclefit.anatomy.mesh_fidelity import TissueFit
+from musclefit.anatomy.mesh_rules import LayerRules
+from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
+from musclefit.anatomy.tetrahedra import TetAnatomy
+from musclefit.geometry.meshes import TetMesh
+from musclefit.geometry.surfaces.sections import sections_along
+from musclefit.meshing import cache
+from musclefit.meshing.cache import TetCache
+from musclefit.meshing.muscle_tets import MuscleTets, loose_share, muscle_tets
+from musclefit.progress import Silent
+
+MUSCLE = Tissue("muscle", TissueKind.MUSCLE, egg((0, 0, 0), (25, 5, 5)))
+WHOLE = block((6, 4, 4))
+VOLUME = 96.0
+
+
+def with_a_tet_beside(mesh: TetMesh, size: float) -> TetMesh:
+    """One more, with a corner at the block's, and no face in common: its volume is a sixth of the size's cube."""
+    count = len(mesh.vertices)
+    corner = int(np.abs(mesh.vertices).sum(axis=1).argmin())
+    vertices = np.vstack([mesh.vertices, -size * np.eye(3)[[1, 0, 2]]])
+    return TetMesh(vertices, np.vstack([mesh.tets, [[corner, count, count + 1, count + 2]]]))
+
+
+Making = Callable[..., TetAnatomy]
+MESHES = MappingProxyType(
+    {"whole": WHOLE, "pinched": with_a_tet_beside(WHOLE, 0.5), "apart": with_a_tet_beside(WHOLE, 2.0)}
+)
+
+
+def meshed(tries: list[tuple[str, float]], monkeypatch: pytest.MonkeyPatch, folder: Path) -> tuple[MuscleTets, list]:
+    """What comes of tries that give such meshes and miss so many envelopes; and the rules and passes of each."""
+    asked: list[tuple[LayerRules, int]] = []
+
+    def made(anatomy: Anatomy, rules: LayerRules, *, passes: int, progress: object) -> TetAnatomy:
+        kind, missed = tries[len(asked)]
+        asked.append((rules, passes))
+        mesh = MESHES[kind]
+        envelope = asked[0][0].smallest_envelope(anatomy) * np.linalg.norm(np.ptp(anatomy.vertices(), axis=0))
+        fit = TissueFit(
+            "muscle", "muscle", len(mesh.tets), VOLUME, VOLUME, VOLUME, missed_mm=missed * envelope,
+            pieces=1 + (kind != "whole"), surface_pieces=1,
+        )  # fmt: skip
+        return TetAnatomy(anatomy, mesh, np.zeros(len(mesh.tets), dtype=np.int64), 0, (), (fit,))
+
+    monkeypatch.setattr(cache, "tetrahedralise", made)
+    found = muscle_tets(
+        MUSCLE, TetCache(folder, limit_mb=0.0), sections=sections_along(MUSCLE.surface), progress=Silent()
+    )
+    assert len(asked) == len(tries)
+    return found, asked
+
+
+@pytest.mark.parametrize(
+    ("tries", "pieces"),
+    [
+        ([("whole", 0.6)], 1),
+        ([("whole", 4.0), ("whole", 0.2)], 1),
+        ([("whole", 4.0), ("whole", 4.0)], 1),
+        ([("apart", 0.6), ("whole", 0.6)], 1),
+        ([("apart", 0.6), ("apart", 0.6)], 2),
+        ([("pinched", 0.6)], 2),
+        ([("pinched", 4.0), ("pinched", 0.2)], 2),
+    ],
+)
+def test_a_mesh_is_made_again_once_where_it_falls_apart_or_misses_an_end(
+    tries: list[tuple[str, float]], pieces: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Not for a corner that the surface itself joins by an edge or a point alone: that is told; no envelope helps."""
+    found, asked = meshed(tries, monkeypatch, tmp_path)
+    envelopes = [rules.envelope_fraction for rules, _ in asked]
+    np.testing.assert_allclose(envelopes, [envelopes[0], envelopes[0] / 4.0][: len(asked)], rtol=1e-12)
+    assert {passes for _, passes in asked} == {1}
+    assert found.pieces == pieces
+    assert found.whole == (tries[-1] in [("whole", 0.6), ("whole", 0.2), ("pinched", 0.6), ("pinched", 0.2)])
+
+
+def test_the_loose_share_is_that_of_all_pieces_but_the_largest() -> None:
+    assert loose_share(MESHES["whole"]) == 0.0
+    for kind, size in (("pinched", 0.5), ("apart", 2.0)):
+        own = size**3 / 6.0
+        assert loose_share(MESHES[kind]) == pytest.approx(own / (VOLUME + own), rel=1e-12)

@@ -2,7 +2,8 @@
 
 Elements have positive Jacobians; linear elasticity on the mesh, assembled by scikit-fem in parts of `PART` elements, is
 symmetric and gives no force to the six rigid motions; sections other than mesh and axes are read by pyfebio, and every
-part, set and surface that they name is there. Prints what it measured; exit code 1 where something does not hold.
+part, set and surface that they name is there, and so it is in contact; nodes, rigid node sets and ties lead from every
+part to a rigid bone. Prints what it measured; exit code 1 where something does not hold.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ SECTIONS: Mapping[str, Callable[[bytes], Any]] = {
 
 @dataclass(frozen=True)
 class Held:
-    """What was measured of a model; ``unread`` are sections that pyfebio refused, ``undefined`` names not there."""
+    """What was measured of a model; ``unread`` are sections that pyfebio refused, ``undefined`` names not there,
+    ``loose`` parts that nothing leads from to a bone.
+    """
 
     nodes: int
     elements: int
@@ -44,12 +47,13 @@ class Held:
     rigid_force: float
     unread: Mapping[str, str]
     undefined: tuple[str, ...]
+    loose: tuple[str, ...]
 
     @property
     def holds(self) -> bool:
         """Whether nothing is wrong."""
         sound = self.smallest_jacobian_mm3 > 0.0 and max(self.asymmetry, self.rigid_force) < LEAST
-        return sound and not self.unread and not self.undefined
+        return sound and not self.unread and not self.undefined and not self.loose
 
 
 def held(path: Path) -> Held:
@@ -60,7 +64,14 @@ def held(path: Path) -> Held:
     jacobians = np.linalg.det(points[corners[:, 1:]] - points[corners[:, :1]])
     asymmetry, force = _assembled(points - points.mean(axis=0), corners)
     return Held(
-        len(points), len(corners), float(jacobians.min()), asymmetry, force, _unread(root), tuple(_undefined(root))
+        nodes=len(points),
+        elements=len(corners),
+        smallest_jacobian_mm3=float(jacobians.min()),
+        asymmetry=asymmetry,
+        rigid_force=force,
+        unread=_unread(root),
+        undefined=tuple(_undefined(root)),
+        loose=tuple(_loose(root)),
     )
 
 
@@ -111,9 +122,46 @@ def _undefined(root: ET.Element) -> list[str]:
     wanted += [(one.attrib["mat"], bodies) for one in root.iterfind("MeshDomains/SolidDomain")]
     wanted += [(one.attrib["elem_set"], parts) for one in root.iterfind("MeshData/ElementData")]
     wanted += [(one.attrib["node_set"], sets) for one in root.iter("bc") if "node_set" in one.attrib]
+    surfaces = {one.attrib["name"] for one in root.iterfind("Mesh/Surface")}
+    pairs = {one.attrib["name"] for one in root.iterfind("Mesh/SurfacePair")}
+    wanted += [(one.text or "", surfaces) for one in root.iterfind("Mesh/SurfacePair/*")]
+    wanted += [(one.attrib["surface_pair"], pairs) for one in root.iterfind("Contact/contact")]
+    wanted += [(one.text or "", bodies) for one in root.iterfind("Boundary/bc/rb")]
     wanted += [(one.text or "", bodies) for one in root.iterfind("Rigid/rigid_bc/rb")]
     wanted += [(one.attrib["lc"], curves) for one in root.iter() if "lc" in one.attrib]
     return [name for name, there in wanted if name not in there]
+
+
+def _loose(root: ET.Element) -> list[str]:
+    """Parts that may drift away: no node in common, tie or rigid node set, one after the other, leads to a bone."""
+    domains = {one.attrib["name"]: one.attrib["mat"] for one in root.iterfind("MeshDomains/SolidDomain")}
+    nodes = {one.attrib["name"]: _numbers(one.iterfind("elem")) for one in root.iterfind("Mesh/Elements")}
+    surfaces = {one.attrib["name"]: _numbers(one.iterfind("tri3")) for one in root.iterfind("Mesh/Surface")}
+    sets = {one.attrib["name"]: _numbers([one]) for one in root.iterfind("Mesh/NodeSet")}
+    pairs = {
+        pair.attrib["name"]: [surfaces.get(one.text or "", set()) for one in pair]
+        for pair in root.iterfind("Mesh/SurfacePair")
+    }
+    bones = {one.attrib["name"] for one in root.iterfind("Material/material[@type='rigid body']")}
+    held = set().union(*(own for name, own in nodes.items() if domains.get(name) in bones))
+    held |= set().union(
+        *(sets.get(one.attrib["node_set"], set()) for one in root.iterfind("Boundary/bc[@type='rigid']"))
+    )
+    links = [own for name, own in nodes.items() if domains.get(name) not in bones]
+    ties = [one.attrib["surface_pair"] for one in root.iterfind("Contact/contact[@type='tied-elastic']")]
+    links += [set().union(*pairs.get(name, [])) for name in ties]
+    waiting = links
+    while waiting:
+        further = [own for own in waiting if not own & held]
+        if len(further) == len(waiting):
+            break
+        held |= set().union(*(own for own in waiting if own & held))
+        waiting = further
+    return [name for name, own in nodes.items() if not own <= held]
+
+
+def _numbers(rows: Any) -> set[int]:
+    return {int(x) for row in rows for x in (row.text or "").split(",")}
 
 
 def main() -> int:
@@ -127,6 +175,8 @@ def main() -> int:
         print(f"{tag}: not read by pyfebio: {why}")
     for name in found.undefined:
         print(f"{name}: named, but not there")
+    for name in found.loose:
+        print(f"{name}: nothing leads from it to a bone")
     print("holds" if found.holds else "does not hold")
     return int(not found.holds)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import skfem
+from febio_assembly import held
 from pyfebio import boundary, contact, mesh
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 from tet_blocks import block
@@ -161,6 +162,19 @@ def test_febio_s_own_models_take_the_contact_whole(tmp_path: Path) -> None:
     assert not set(tied[0]) & set(tied[1])
     bone = set(sets["bone_nodes"])
     assert all(not bone & set(nodes) for nodes in tied)
+
+
+def test_the_checker_of_models_sees_a_pair_that_is_not_there_and_a_part_that_may_drift_away(tmp_path: Path) -> None:
+    tets, path = apart(), tmp_path / "model.feb"
+    write_febio_model(path, model(tets, contacts(tets).all_pairs(within_mm=0.5)))  # one muscle tied to the other
+    text = path.read_text(encoding="utf-8")
+    assert held(path).holds
+    path.write_text(text.replace("<secondary>held_surface", "<secondary>no_surface"), encoding="utf-8")
+    assert held(path).undefined == ("no_surface",)
+    path.write_text(text.replace('type="tied-elastic"', 'type="sliding-elastic"'), encoding="utf-8")
+    assert held(path).loose == ("loose",)
+    path.write_text(text.replace('type="rigid">', 'type="zero">'), encoding="utf-8")
+    assert held(path).loose == ("held", "loose")
 
 
 def test_nothing_can_move_without_the_bone(tmp_path: Path) -> None:

@@ -16,9 +16,12 @@ def fit_joint(
     fixed: Annotated[Path, Parameter(help="Surface of the bone that carries the joint: PLY, STL, OBJ, VTP.")],
     moving: Annotated[Path, Parameter(help="Surface of the bone that the joint moves.")],
     /,
-    *,
+    *others: Annotated[
+        Path, Parameter(help="Further bones that move with it, where they face the first too: the lunate.")
+    ],
     kind: Annotated[
-        Literal["hinge", "universal", "saddle", "ball"], Parameter(name="--kind", show_default=True)
+        Literal["hinge", "universal", "saddle", "ball", "named"],
+        Parameter(name="--kind", help='"named": the kind that the names of the files say.', show_default=True),
     ] = "hinge",
     within_mm: Annotated[
         float,
@@ -31,10 +34,10 @@ def fit_joint(
     units: Annotated[Literal["mm", "cm", "m"], Parameter(name="--units", show_default=True)] = "mm",
     json: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, not a table of joints.")] = False,
 ) -> int:
-    """Fit a joint's axes or centre to the facing surfaces of two bones, and print an entry for a table of joints."""
+    """Fit a joint's axes or centre to the facing surfaces of bones, and print an entry for a table of joints."""
     from musclefit.workflows.fit_joint import fit_joint as fitted
 
-    found = fitted(fixed, moving, kind=kind, within_mm=within_mm, units=units)
+    found = fitted(fixed, [moving, *others], kind=kind, within_mm=within_mm, units=units)
     if json:
         print_json(found.to_json())
     else:

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from musclefit.errors import InputError
 from musclefit.geometry.arrays import Float
+from musclefit.geometry.meshes import TriMesh
 from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.tables import toml_string
 from musclefit.rig.articulation import WITHIN_MM, FittedJoint, fitted_joint
 from musclefit.rig.joint_kinds import JointKind
+from musclefit.rig.named_joints import named_joints
 from musclefit.vocabulary import Unit
 from musclefit.workflows.given import word
 from musclefit.workflows.results import Shown
 
 SADDLE = "saddle"
 """Another word for a universal joint: its two axes lie on either side of the surfaces."""
+
+NAMED = "named"
+"""The kind of the joint that the bones' names say."""
 
 SURE_DEG, SURE_MM = 10.0, 5.0
 """A joint whose standard deviations are beyond these is not to be believed without a look."""
@@ -34,11 +40,14 @@ class JointFit(Shown):
     fixed, moving : str
         The bones' names.
     found : FittedJoint
+    also_moving : tuple of str
+        Further bones whose surfaces were fitted as one with the moving bone's.
     """
 
     fixed: str
     moving: str
     found: FittedJoint
+    also_moving: tuple[str, ...] = ()
 
     @property
     def kind(self) -> JointKind:
@@ -64,7 +73,8 @@ class JointFit(Shown):
     def said(self) -> str:
         """Centre and axes in a line."""
         axes = "".join(f", axis {_listed(axis, 6)}" for axis in self.found.axes)
-        return f"{self.kind.value} of {self.fixed} and {self.moving}: centre {_listed(self.centre_mm, 3)} mm{axes}"
+        moving = ", ".join((self.moving, *self.also_moving))
+        return f"{self.kind.value} of {self.fixed} and {moving}: centre {_listed(self.centre_mm, 3)} mm{axes}"
 
     def agreement(self) -> str:
         """How sure the fit is, in words."""
@@ -86,6 +96,7 @@ class JointFit(Shown):
             "kind": self.kind.value,
             "fixed": self.fixed,
             "moving": self.moving,
+            "also_moving": list(self.also_moving),
             "centre_mm": [float(v) for v in self.centre_mm],
             "axes": [[float(v) for v in axis] for axis in found.axes],
             "axes_apart_mm": found.apart_mm,
@@ -107,7 +118,7 @@ class JointFit(Shown):
             "[joint]                  # name it, and add the other bones that it moves",
             *self.entry("joint"),
             f"fixed = [{toml_string(self.fixed)}]",
-            f"moving = [{toml_string(self.moving)}]",
+            f"moving = [{', '.join(toml_string(name) for name in (self.moving, *self.also_moving))}]",
             "",
             f"# {self.agreement()}",
         ]
@@ -143,20 +154,23 @@ class JointFit(Shown):
 
 def fit_joint(
     fixed: str | Path,
-    moving: str | Path,
+    moving: str | Path | Sequence[str | Path],
     *,
     kind: JointKind | str = JointKind.HINGE,
     within_mm: float = WITHIN_MM,
     units: Unit | str = Unit.MILLIMETRE,
 ) -> JointFit:
-    """Fit a joint's axes, or a ball's centre, where two bones face each other.
+    """Fit a joint's axes, or a ball's centre, where bones face each other.
 
     Parameters
     ----------
-    fixed, moving : path
-        Surfaces of the bone that carries the joint and of the one that it moves.
-    kind : {"hinge", "universal", "saddle", "ball"}
-        A saddle is a universal joint whose axes lie on either side of the surfaces.
+    fixed : path
+        Surface of the bone that carries the joint.
+    moving : path, or several
+        Surface of the bone that it moves; of several, such as scaphoid and lunate, all that face the fixed one.
+    kind : {"hinge", "universal", "saddle", "ball", "named"}
+        A saddle is a universal joint whose axes lie on either side of the surfaces; "named" is the kind that the files'
+        names say, as those of radius and scaphoid do.
     within_mm : float
         Surfaces of the two that are within this distance more than their smallest gap face each other.
     units : {"mm", "cm", "m"}
@@ -165,12 +179,43 @@ def fit_joint(
     Raises
     ------
     InputError, MeshError
-        Files that cannot be read, or bones that face each other nowhere.
+        Files that cannot be read, bones that face each other nowhere, or a kind that their names do not say.
     """
     unit = word(Unit, units, what="units")
-    joint = JointKind.UNIVERSAL if kind == SADDLE else word(JointKind, kind, what="kind")
-    first, second = (read_surface(Path(path), units=unit).mesh() for path in (fixed, moving))
-    return JointFit(Path(fixed).stem, Path(moving).stem, fitted_joint(first, second, kind=joint, within_mm=within_mm))
+    paths = [Path(fixed), *map(Path, [moving] if isinstance(moving, str | Path) else moving)]
+    if len(paths) < 2:
+        raise InputError("no moving bone is given; give the surface of at least one")
+    names = [path.stem for path in paths]
+    joint = _named_kind(names) if kind == NAMED else JointKind.UNIVERSAL if kind == SADDLE else _kind(kind)
+    first, *others = (read_surface(path, units=unit).mesh() for path in paths)
+    found = fitted_joint(first, joined_surfaces(others), kind=joint, within_mm=within_mm)
+    return JointFit(names[0], names[1], found, tuple(names[2:]))
+
+
+def joined_surfaces(surfaces: Sequence[TriMesh]) -> TriMesh:
+    """Surfaces as one, none of their vertices merged."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    return TriMesh(
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts[:-1], strict=True)]),
+    )
+
+
+def _kind(kind: JointKind | str) -> JointKind:
+    return word(JointKind, kind, what="kind")
+
+
+def _named_kind(names: Sequence[str]) -> JointKind:
+    """The kind of the joint that the names of bones say, the one that carries it first."""
+    found = named_joints(names, meeting={names[0]: names[1:]})
+    kinds = {one.kind for one in found}
+    if len(kinds) != 1:
+        raise InputError(
+            f"the names {', '.join(map(repr, names))} say no joint that is known, the bone that carries it first (such "
+            "as femur and tibia, radius and scaphoid, trapezium and first metacarpal); name the kind: hinge, "
+            "universal, saddle or ball"
+        )
+    return kinds.pop()
 
 
 def _listed(values: Float, decimals: int) -> str:

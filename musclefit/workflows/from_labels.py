@@ -35,7 +35,7 @@ from musclefit.report.repairs import RepairReport, repair_json
 from musclefit.rig.articulation import WITHIN_MM, fitted_joint
 from musclefit.rig.named_joints import NamedJoint, named_joints
 from musclefit.validate.overlaps import rest_overlaps
-from musclefit.workflows.fit_joint import JointFit
+from musclefit.workflows.fit_joint import JointFit, joined_surfaces
 from musclefit.workflows.given import KindsGiven, kinds_given, word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
@@ -214,16 +214,19 @@ def _joints(anatomy: Anatomy, within_mm: float) -> tuple[tuple[LabelledJoint, ..
     meeting = _meeting(bones, within_mm)
     fitted, told = [], []
     for joint in named_joints([bone.name for bone in bones], meeting=meeting):
-        fixed, moving = anatomy[joint.fixed].surface, anatomy[joint.moving].surface
+        fixed = anatomy[joint.fixed].surface
+        moving = joined_surfaces([anatomy[name].surface for name in (joint.moving, *joint.also_moving)])
         try:
             found = fitted_joint(fixed, moving, kind=joint.kind, within_mm=within_mm)
         except InputError as error:
             told.append(Finding(joint.name, "joint-not-fitted", f"{joint.name}: could not be fitted: {error}"))
             continue
-        fitted.append(LabelledJoint(joint, JointFit(joint.fixed, joint.moving, found)))
+        fitted.append(LabelledJoint(joint, JointFit(joint.fixed, joint.moving, found, joint.also_moving)))
         if not fitted[-1].fit.believable:
             told.append(Finding(joint.name, "uncertain-joint", f"{joint.name}: {fitted[-1].fit.agreement()}"))
-    joined = {frozenset((one.joint.fixed, one.joint.moving)) for one in fitted}
+    joined = {
+        frozenset((one.joint.fixed, moving)) for one in fitted for moving in (one.joint.moving, *one.joint.also_moving)
+    }
     left = sorted({tuple(sorted((a, b))) for a, others in meeting.items() for b in others if {a, b} not in joined})
     if left:
         some = some_of((" and ".join(pair) for pair in left), most=4)
@@ -267,12 +270,14 @@ def _files(result: FromLabels, *, frame: Frame, title: str) -> dict[str, bytes]:
 def _free_way(result: FromLabels) -> float:
     """An angle of the first joint that the rig is posed by, to the side where its two bones share less volume."""
     one = result.joints[0]
-    fixed, moving = (solid_of(result.anatomy[name].surface) for name in (one.joint.fixed, one.joint.moving))
+    fixed, *moving = (
+        solid_of(result.anatomy[name].surface) for name in (one.joint.fixed, one.joint.moving, *one.joint.also_moving)
+    )
     axis = one.fit.axis if one.fit.axis is not None else np.array([1.0, 0.0, 0.0])
 
     def shared(angle_deg: float) -> float:
         turn = RigidMotion.about_axis(centre=one.fit.centre_mm, axis=axis, angle_deg=angle_deg)
-        return overlap_volume(fixed, moved_solid(moving, turn))
+        return sum(overlap_volume(fixed, moved_solid(bone, turn)) for bone in moving)
 
     return min((FIRST_DEG, -FIRST_DEG), key=shared)
 

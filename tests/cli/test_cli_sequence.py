@@ -105,6 +105,29 @@ def test_a_joint_is_fitted_and_printed_as_a_table(tmp_path: Path, capsys: pytest
     assert abs(axis[2]) > 0.999
 
 
+def test_the_names_of_bones_say_the_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The two halves of a roller are one bone to the fit; without a joint in the names a kind must be given."""
+    names = ("humerus", "ulna", "olecranon")
+    humerus, ulna, olecranon = (tmp_path / f"{name}.ply" for name in names)
+    write_roller_and_tube(ulna, humerus)
+    for half, height in ((ulna, -7.6), (olecranon, 7.6)):
+        roller = trimesh.creation.cylinder(radius=10.0, height=15.0, sections=64).subdivide_to_size(4.0)
+        roller.apply_translation([0.0, 0.0, height]).export(half)
+    given = ["fit-joint", str(humerus), str(ulna), str(olecranon), "--within-mm", "2", "--kind"]
+    assert main([*given, "hinge"]) == 0
+    whole = tomllib.loads(capsys.readouterr().out)["joint"]
+    assert whole["moving"] == ["ulna", "olecranon"]
+    assert abs(whole["axis"][2]) > 0.999
+    assert main([*given, "named"]) == 0
+    assert tomllib.loads(capsys.readouterr().out)["joint"] == whole
+    other = tmp_path / "piece.ply"
+    olecranon.rename(other)
+    assert main(["fit-joint", str(other), str(ulna), "--kind", "named"]) == 2
+    said = capsys.readouterr().err
+    assert "the names 'piece', 'ulna' say no joint that is known" in said
+    assert "hinge, universal, saddle or ball" in said
+
+
 def test_bones_of_any_name_are_printed_as_valid_toml(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fixed, moving = '"left" \\ ulna\x7f', "Elle's"
     write_roller_and_tube(tmp_path / f"{moving}.ply", tmp_path / f"{fixed}.ply")

@@ -1,4 +1,4 @@
-"""Curves over time as SVG for a page: takes numbers and names, gives text; measures nothing."""
+"""Curves over time, or whatever rises, as SVG for a page: takes numbers and names, gives text; measures nothing."""
 
 from __future__ import annotations
 
@@ -13,17 +13,25 @@ TONES = ("#7a2e2e", "#1f6f8b", "#b8860b", "#3d7a3d", "#6b3fa0", "#c2571a")
 
 
 def curves(
-    times: Sequence[float], lines: Mapping[str, Sequence[float | None]], *, unit: str, named: int = len(TONES)
+    times: Sequence[float],
+    lines: Mapping[str, Sequence[float | None]],
+    *,
+    unit: str,
+    along: str = "time, s",
+    named: int = len(TONES),
 ) -> str:
     """One SVG of lines over time; the ``named`` ones that change most are coloured and named, the others grey.
 
     Parameters
     ----------
-    times : sequence of float, s
+    times : sequence of float
+        Rising.
     lines : mapping of name to values
         None where there is no value: the line is broken there.
     unit : str
         Of the values.
+    along : str
+        What rises, with its unit.
     named : int
     """
     known = [v for line in lines.values() for v in line if v is not None and math.isfinite(v)]
@@ -48,7 +56,7 @@ def curves(
         f'<text x="{x(time):.1f}" y="{HEIGHT - _BOTTOM + 16}" text-anchor="middle">{_said(time)}</text>'
         for time in _ticks(times[0], times[-1])
     ]
-    parts.append(f'<text x="{(WIDTH + _LEFT) / 2:.0f}" y="{HEIGHT - 6}" text-anchor="middle">time, s</text>')
+    parts.append(f'<text x="{(WIDTH + _LEFT) / 2:.0f}" y="{HEIGHT - 6}" text-anchor="middle">{escape(along)}</text>')
     middle = (HEIGHT - _BOTTOM + _TOP) / 2
     turned = f'transform="rotate(-90 14 {middle:.0f})" text-anchor="middle"'
     parts.append(f'<text x="14" y="{middle:.0f}" {turned}>{escape(unit)}</text>')

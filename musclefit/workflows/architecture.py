@@ -26,7 +26,7 @@ from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.given_fibres import FibreFiles, read_given_fibres
 from musclefit.io.rig_names import RigGiven
 from musclefit.io.rigs import read_rig
-from musclefit.io.run_folder import Maker, claimed, write_surfaces
+from musclefit.io.run_folder import REPORT_HTML, Maker, claimed, write_surfaces
 from musclefit.meshing.cache import TetCache, default_limit_mb
 from musclefit.meshing.muscle_tets import MuscleTets, muscle_tets
 from musclefit.muscles.attachments import MuscleEnds, find_ends, usual_distance_mm
@@ -56,6 +56,7 @@ from musclefit.muscles.streamlines import Streamlines, step_length_mm, streamlin
 from musclefit.pipeline.poses import bones_of, refuse_collision
 from musclefit.pipeline.refining import deform_finely
 from musclefit.progress import Progress
+from musclefit.report.architecture_html import render_architecture
 from musclefit.rig.job import Job
 from musclefit.rig.joints import JointMotions
 from musclefit.rig.paths import KeyframeMotions
@@ -554,6 +555,7 @@ def _write(found: Architecture, folder: Path) -> None:
     files["fibres.vtk"] = _fibres_vtk(found, carried=False)
     if found.carried:
         files["fibres_carried.vtk"] = _fibres_vtk(found, carried=True)
+    files[REPORT_HTML] = render_architecture(report).encode()
     write_surfaces(folder, files, report=report, by=Maker.ARCHITECTURE)
 
 

@@ -66,6 +66,9 @@ def test_curves_end_where_the_map_ends(rig: Path, tmp_path: Path, capsys: pytest
     for name in ("path_mm", "fibre_mm", "pennation_deg"):
         assert float(states[-1][name]) == pytest.approx(float(carried[name]), rel=0.01)
     assert all(state["moment_arm_path_mm"] for state in states)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for what in ("elbow, degrees", "Moment arm by the streamlines", "After the map", "Free ends"):
+        assert (what in page) == (what != "Free ends"), what
     assert main([*given, "--rest"]) == 2
     assert "curves need a motion" in capsys.readouterr().err
 
@@ -101,6 +104,9 @@ def test_at_rest_nothing_is_deformed(rig: Path, tmp_path: Path) -> None:
     assert main(["architecture", str(rig), "--rest", "--out", str(out), "--quiet"]) == 0
     assert rows(out / "carried.csv") == []
     assert not (out / "fibres_carried.vtk").exists()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "1 of 1 muscles" in page
+    assert "After the map" not in page
     assert json.loads((out / "report.json").read_text(encoding="utf-8"))["claim"] == "at rest"
 
 

@@ -10,8 +10,11 @@ just before each. At random the command dies with all its workers, as when the m
 from __future__ import annotations
 
 import argparse
+import atexit
+import json
 import os
 import random
+import select
 import shutil
 import signal
 import subprocess
@@ -21,6 +24,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import psutil
@@ -56,6 +60,30 @@ def watch(event, told):
 sys.addaudithook(watch)
 """
 """Run when a Python process starts: counts its changes of files below a folder and kills it before the one asked."""
+
+
+SERVER = """
+import json, os, sys, tempfile
+import musclefit.cli.commands, musclefit.workflows.repair, musclefit.workflows.run, musclefit.workflows.sequence
+
+for line in sys.stdin:
+    asked = json.loads(line)
+    pid = os.fork()
+    if not pid:
+        os.setsid()
+        os.environ.update(asked["environment"])
+        for number, path, how in ((0, os.devnull, "r"), (1, os.devnull, "w"), (2, asked["said"], "w")):
+            with open(path, how) as file:
+                os.dup2(file.fileno(), number)
+        tempfile.tempdir = None
+        sys.argv = ["musclefit", *asked["arguments"]]
+        exec(asked["hook"])
+        sys.exit(musclefit.cli.main())
+    print(pid, flush=True)
+    _, status, used = os.wait4(pid, 0)
+    print(os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, flush=True)
+"""
+"""A process that has imported musclefit, and forks for each line: a command in a group of its own, then its end."""
 
 
 @dataclass(frozen=True)
@@ -112,28 +140,69 @@ COMMANDS = (
 )
 
 
-def _start(arguments: list[str], folder: Path, *, moment: Moment, log: bool = False) -> subprocess.Popen[str]:
-    """A command as a process group of its own, with its caches and temporary files below the folder."""
+@cache
+def _server() -> subprocess.Popen[str]:
+    """The process that forks."""
     from musclefit.compiling import compiled_folder
 
-    for name in ("hook", "cache", "temporary"):
-        (folder / name).mkdir(exist_ok=True)
-    (folder / "hook" / "sitecustomize.py").write_text(HOOK, encoding="utf-8")
-    path = os.pathsep.join([str(folder / "hook"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = os.environ | {
-        "PYTHONPATH": path,
-        "NUMBA_CACHE_DIR": str(compiled_folder()),
-        "MUSCLEFIT_CACHE": str(folder / "cache"),
-        "TMPDIR": str(folder / "temporary"),
-        "KILLED_INSIDE": str(folder),
-        "KILLED_AT": str(moment.change),
-        "KILLED_ALONE": str(int(moment.alone)),
-        "KILLED_LOG": "1" if log else "",
-    }
-    command = [sys.executable, "-m", "musclefit", *arguments]
-    return subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(compiled_folder())}
+    started = subprocess.Popen(
+        [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
     )
+
+    def end() -> None:
+        assert started.stdin is not None
+        started.stdin.close()
+        started.wait()
+
+    atexit.register(end)
+    return started
+
+
+class _Started:
+    """A command that was started: its number, which is that of its group, and what it says."""
+
+    def __init__(self, arguments: list[str], folder: Path, *, moment: Moment, log: bool = False) -> None:
+        """With its caches and temporary files below the folder."""
+        for name in ("hook", "cache", "temporary"):
+            (folder / name).mkdir(exist_ok=True)
+        (folder / "hook" / "sitecustomize.py").write_text(HOOK, encoding="utf-8")
+        path = os.pathsep.join([str(folder / "hook"), *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = {
+            "PYTHONPATH": path,
+            "MUSCLEFIT_CACHE": str(folder / "cache"),
+            "TMPDIR": str(folder / "temporary"),
+            "KILLED_INSIDE": str(folder),
+            "KILLED_AT": str(moment.change),
+            "KILLED_ALONE": str(int(moment.alone)),
+            "KILLED_LOG": "1" if log else "",
+        }
+        self._said = folder / "hook" / "said.txt"
+        asked = {"arguments": arguments, "environment": environment, "said": str(self._said), "hook": HOOK}
+        server = _server()
+        assert server.stdin is not None
+        assert server.stdout is not None
+        self._lines = server.stdout
+        server.stdin.write(json.dumps(asked) + "\n")
+        server.stdin.flush()
+        self.pid = int(self._lines.readline())
+        self._ended: tuple[int, float] | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._ended is None and not select.select([self._lines], [], [], 0.0)[0]
+
+    def wait(self) -> tuple[int, float]:
+        """Its exit code, and the processor time that it and its workers took, seconds."""
+        if self._ended is None:
+            code, cpu_s = self._lines.readline().split()
+            self._ended = int(code), float(cpu_s)
+        return self._ended
+
+    def said(self) -> str:
+        """What it wrote to standard error."""
+        return self._said.read_text(encoding="utf-8", errors="replace")
 
 
 def _of_group(group: int) -> Iterator[psutil.Process]:
@@ -153,27 +222,27 @@ def _cpu_s(group: int) -> float:
     return total
 
 
-def _complete(arguments: list[str], folder: Path, *, log: bool = False) -> tuple[str, str]:
-    """Run a command to its end: "" where it completed, else what went wrong; and what it said."""
-    with _start(arguments, folder, moment=Moment(), log=log) as process:
-        _, said = process.communicate()
-        failed = process.returncode not in FINISHED
-        return f"exit code {process.returncode}: {said.strip()[-300:]}" if failed else "", said
+def _complete(arguments: list[str], folder: Path, *, log: bool = False) -> tuple[str, str, float]:
+    """Run a command to its end: "" where it completed, else what went wrong; what it said, and its CPU seconds."""
+    started = _Started(arguments, folder, moment=Moment(), log=log)
+    code, cpu_s = started.wait()
+    said = started.said()
+    return "" if code in FINISHED else f"exit code {code}: {said.strip()[-300:]}", said, cpu_s
 
 
 def _kill(arguments: list[str], folder: Path, *, moment: Moment) -> str:
     """Start a command and have it killed; what went wrong with that."""
-    with _start(arguments, folder, moment=moment) as process:
-        while moment.cpu_s and process.poll() is None and _cpu_s(process.pid) < moment.cpu_s:
-            time.sleep(0.1)
-        if moment.cpu_s and process.poll() is None:
-            os.kill(process.pid, signal.SIGKILL) if moment.alone else os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        until = time.monotonic() + ORPHANS_S
-        while (left := list(_of_group(process.pid))) and time.monotonic() < until:
-            time.sleep(0.1)
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
+    started = _Started(arguments, folder, moment=moment)
+    while moment.cpu_s and started.running and _cpu_s(started.pid) < moment.cpu_s:
+        time.sleep(0.02)
+    if moment.cpu_s and started.running:
+        os.kill(started.pid, signal.SIGKILL) if moment.alone else os.killpg(started.pid, signal.SIGKILL)
+    started.wait()
+    until = time.monotonic() + ORPHANS_S
+    while (left := list(_of_group(started.pid))) and time.monotonic() < until:
+        time.sleep(0.1)
+    with suppress(ProcessLookupError):
+        os.killpg(started.pid, signal.SIGKILL)
     return f"left running: {', '.join(' '.join(p.cmdline()) for p in left)}" if left else ""
 
 
@@ -198,7 +267,7 @@ def kill_at(command: Command, folder: Path, *, moment: Moment) -> str:
     arguments = command.prepare(folder)
     orphans = _kill(arguments, folder, moment=moment)
     before = _finished(folder)
-    problem, _ = _complete(arguments, folder)
+    problem, _, _ = _complete(arguments, folder)
     if problem:
         return problem
     written = _finished(folder)
@@ -212,9 +281,7 @@ def _moments(command: Command, place: Path, *, moments: int, seed: int) -> Itera
     chance = random.Random(f"{seed}/{command.name}")
     first = place / "first"
     first.mkdir()
-    used = os.times()
-    problem, said = _complete(command.prepare(first), first, log=True)
-    took = sum(os.times()[2:4]) - sum(used[2:4])
+    problem, said, took = _complete(command.prepare(first), first, log=True)
     if problem:
         raise RuntimeError(f"{command.name}: {problem}")
     changes = max(int(line.split()[1]) for line in said.splitlines() if line.startswith("change "))

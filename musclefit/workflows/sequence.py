@@ -40,6 +40,7 @@ from musclefit.report.sequence import (
     measures_table,
     sequence_to_json,
 )
+from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Pose
 from musclefit.rig.transforms import BoneTransforms
 from musclefit.workflows.given import word
@@ -270,8 +271,8 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         known = read_plan(folder)
         changed = [key for key in ("interpolation", "frames", "motion_sha256") if known.get(key) != ours[key]]
-        former = Path(str(known.get("rig", plan.job.source)))
-        if former.name != Path(plan.job.source).name:
+        former = str(known.get("rig", plan.job.source))
+        if not _is_rig(plan.job, former, known.get("inputs")):
             raise InputError(
                 f"{folder} holds a sequence of another rig ({former}, here {plan.job.source}); name another folder, or "
                 "remove it"
@@ -283,6 +284,14 @@ def _claim(folder: Path, plan: SequencePlan) -> None:
     elif folder.exists() and not folder.is_dir():
         raise InputError(f"the output folder {folder} is a file; name a folder that does not exist yet")
     write_atomically(folder / PLAN, json.dumps(ours, indent=1))
+
+
+def _is_rig(job: Job, former: str, hashes: object) -> bool:
+    """Whether a job's rig is the file that was named before, whatever it holds now, or a copy of what that held."""
+    own = Path(job.source)
+    if own.resolve() == Path(former).resolve():
+        return True
+    return isinstance(hashes, Mapping) and own.name in hashes and hashes[own.name] == job.hashes.get(own.name)
 
 
 def _write_tables(folder: Path, report: SequenceReport, stored: Sequence[StoredFrame]) -> None:

@@ -232,6 +232,7 @@ def test_tables_of_names_are_read(tmp_path: Path, name: str, text: str) -> None:
         ("a.csv", "value,name\n1.5,x\n", "line 2: value is '1.5'; expected a whole number"),
         ("a.csv", "value,name\n1,x\n1,y\n", "the value 1 is named twice"),
         ("a.csv", "value,name\n1,\n", "label 1 has no name"),
+        pytest.param("a.csv", f"value,name\n1,{'x' * 131_073}\n", "field larger than field limit", id="long name"),
         ("a.csv", "value,name\n0,background\n", "names no label above 0"),
         ("a.csv", "value,name,kind\n1,x,liver\n", "kind is 'liver'; known are skin"),
         ("a.json", "{", "is no JSON"),

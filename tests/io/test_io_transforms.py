@@ -342,6 +342,7 @@ def test_frames_of_transforms_and_anatomy_must_agree(rig: Path) -> None:
         ("drive.time_s=nan", r"drive.time_s: found nan; expected a finite"),
         ("drive.frames=1", r"drive.frames: found 1; expected at least 2, or 0 for the file's own times"),
         ("drive.landmarks_per_bone=0", r"drive.landmarks_per_bone: found 0"),
+        ("drive.landmarks_per_bone=2147483648", r"2147483648 landmarks do not fit on a surface with \d+ vertices"),
         ("drive.carried.bone_distal=[]", r"drive.carried.bone_distal: is an empty list"),
         ("deformer.path=joints", r'deformer.path: found "joints", but no joint drives this rig'),
         ("drive.pose.elbow_deg=3", r'drive.pose: belongs to kind "joints", but the kind is "transforms"'),

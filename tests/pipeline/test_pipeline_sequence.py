@@ -204,6 +204,25 @@ def test_a_folder_of_something_else_is_refused(plan: SequencePlan, made: Path, t
         run_sequence(planned(plan.job, motion=rig.with_name("bend.csv"), frames=6), made)
 
 
+def test_a_sequence_keeps_its_folder_from_another_rig_with_the_same_motion(
+    plan: SequencePlan, made: Path, rig: Path, tmp_path: Path
+) -> None:
+    """Whose file may even have the same name; a copy of the same rig is no other."""
+    shutil.copytree(rig.parent, tmp_path / "rig")
+    copied = tmp_path / "rig" / rig.name
+    kept = contents(made)
+    run_sequence(planned(musclefit.read_rig(copied, overrides=PATH), motion=rig.with_name("bend.csv"), frames=5), made)
+    run_sequence(plan, made)
+    copied.write_text(copied.read_text(encoding="utf-8").replace("Four balls", "Four others"), encoding="utf-8")
+    renamed = copied.rename(copied.with_name("other.toml"))
+    shutil.copy(renamed, copied)
+    for other in (copied, renamed):
+        its = planned(musclefit.read_rig(other, overrides=PATH), motion=rig.with_name("bend.csv"), frames=5)
+        with pytest.raises(InputError, match=rf"holds a sequence of another rig \({rig}, here {other}\); name another"):
+            run_sequence(its, made)
+    assert contents(made) == kept
+
+
 def test_what_lies_between_is_examined_again_when_a_frame_changed(made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     shutil.copytree(made, folder)

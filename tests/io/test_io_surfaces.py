@@ -498,13 +498,22 @@ def test_triangle_strips_of_ply_are_read(write):
         read_surface(write("a.ply", head.format("ascii").encode() + short.encode()))
 
 
-def test_an_obj_that_is_not_convex_is_cut_without_folds(write):
+def _l_shaped(ending, first):
+    """An L of one hexagon that begins at one of its corners."""
     corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
-    for first in range(6):
-        rows = [f"v {x} {y} 7" for x, y in corners]
-        face = " ".join(str(1 + (first + k) % 6) for k in range(6))
-        raw = read_surface(write("l.obj", "\n".join(["mg 1 0.5", *rows, f"f {face}"]).encode()))
-        a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
-        areas = np.cross(b - a, c - a)[:, 2] / 2
-        assert areas.min() > 0
-        assert areas.sum() == pytest.approx(3.0)
+    order = [(first + k) % 6 for k in range(6)]
+    if ending == "ply":
+        rows = [f"{x} {y} 7" for x, y in corners] + [" ".join(map(str, [6, *order]))]
+        return _ply_header("ascii", "float", vertices=6, faces=1) + "\n".join(rows).encode()
+    rows = ["mg 1 0.5", *(f"v {x} {y} 7" for x, y in corners)]
+    return "\n".join([*rows, "f " + " ".join(str(1 + k) for k in order)]).encode()
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply"])
+@pytest.mark.parametrize("first", range(6))
+def test_a_polygon_that_is_not_convex_is_cut_without_folds(ending, first, write):
+    raw = read_surface(write(f"l.{ending}", _l_shaped(ending, first)))
+    a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
+    areas = np.cross(b - a, c - a)[:, 2] / 2
+    assert areas.min() > 0
+    assert areas.sum() == pytest.approx(3.0)

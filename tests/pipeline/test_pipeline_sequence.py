@@ -21,7 +21,7 @@ from musclefit.pipeline.deformers import least_steps
 from musclefit.pipeline.sequence import Stage, frames, posed_job
 from musclefit.rig.job import Job
 from musclefit.rig.motion import Interpolation, Motion, Pose
-from musclefit.workflows import sequence_tasks
+from musclefit.workflows import sequence, sequence_tasks
 from musclefit.workflows.sequence import longest_first, run_sequence
 from musclefit.workflows.sequence_frames import read_frames
 from musclefit.workflows.sequence_plan import SequencePlan, planned
@@ -202,6 +202,27 @@ def test_a_folder_of_something_else_is_refused(plan: SequencePlan, made: Path, t
         run_sequence(plan, tmp_path)
     with pytest.raises(InputError, match=r"holds another sequence \(differing: frames\)"):
         run_sequence(planned(plan.job, motion=rig.with_name("bend.csv"), frames=6), made)
+
+
+def test_a_frame_that_a_full_disk_cut_short_ends_the_sequence(
+    plan: SequencePlan, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(made, folder)
+    shutil.rmtree(folder / "frames" / "0002")
+
+    def cut_short(number: int) -> float:
+        took = sequence_tasks.make(number)
+        surfaces = folder / "frames" / f"{number:04d}" / "tissues.vtp"
+        surfaces.write_bytes(surfaces.read_bytes()[:-1])
+        return took
+
+    monkeypatch.setattr(sequence, "make", cut_short)
+    with pytest.raises(OSError, match=r"frame 2 was not written whole \(.*\); is the disk full\?"):
+        run_sequence(plan, folder)
+    monkeypatch.undo()
+    assert run_sequence(plan, folder).verdict == "passed"
+    assert contents(folder) == contents(made)
 
 
 def test_a_sequence_keeps_its_folder_from_another_rig_with_the_same_motion(

@@ -183,7 +183,8 @@ def _locked_case(seed: int, rng: np.random.Generator) -> Case:
     samples = np.concatenate([_in_balls(rng, [(size, middle)], SAMPLES), corners])
     points = middle + size * rng.uniform(-1.3, 1.3, (int(rng.integers(0, 6)), 3))
     worst = float(margins(C, made.field.gradient(samples)).min())
-    field = made.field.scaled(min((1.0 - float(rng.choice(MARGINS))) / (1.0 - worst), 10.0))
+    target, strain = float(rng.choice(MARGINS)), 1.0 - worst
+    field = made.field.scaled((1.0 - target) / strain if 10.0 * strain > 1.0 - target else 10.0)
     return Case(
         "locked", size, [(C, field)], _ball(size, middle), made.bones, points, np.concatenate([samples, points])
     )

@@ -66,28 +66,34 @@ def test_the_bar_fills_its_box() -> None:
     np.testing.assert_allclose(volumes.sum(), 4.0 * HALF * HALF * LENGTH, rtol=1e-12, atol=0)
 
 
-@pytest.mark.parametrize("kernel", ["r3", "isochoric-r5"])
-def test_five_landmarks_bend_a_bar_by_150_degrees_in_one_call(kernel: str) -> None:
+@pytest.mark.parametrize(("kernel", "least_ratio"), [("r3", 0.72), ("isochoric-r5", 0.86)])
+def test_five_landmarks_bend_a_bar_by_150_degrees_in_one_call(kernel: str, least_ratio: float) -> None:
     deformation = deformed(BEND, kernel)
     assert deformation.status is Status.CONVERGED
     assert len(deformation.steps) <= 6
     np.testing.assert_allclose(deformation(BEND.position(0.0)), BEND.position(1.0), rtol=0, atol=1e-9)
     ratios = signed_volumes(deformation(VERTICES), TETS) / signed_volumes(VERTICES, TETS)
-    assert ratios.min() >= 0.7
+    assert ratios.min() >= least_ratio
 
 
-@pytest.mark.parametrize("path", [BEND, TWIST_AND_BEND], ids=["bend", "twist and bend"])
-def test_an_isochoric_field_keeps_the_volume_of_the_bar(path: SkeletonPath) -> None:
+@pytest.mark.parametrize(
+    ("path", "least_ratio", "within"),
+    [(BEND, 0.86, 0.004), (TWIST_AND_BEND, 0.76, 0.04)],
+    ids=["bend", "twist and bend"],
+)
+def test_an_isochoric_field_keeps_the_volume_of_the_bar(path: SkeletonPath, least_ratio: float, within: float) -> None:
     deformation = deformed(path, "isochoric-r5")
     assert deformation.status is Status.CONVERGED
     assert len(deformation.steps) <= 6
     np.testing.assert_allclose(deformation(path.position(0.0)), path.position(1.0), rtol=0, atol=1e-9)
     rest, moved = signed_volumes(VERTICES, TETS), signed_volumes(deformation(VERTICES), TETS)
-    assert (moved / rest).min() >= 0.7
+    assert (
+        moved / rest
+    ).min() >= least_ratio  # of coarse straight tets: 0.93 and 0.88 on 18,432 (examples/fig4_bar.py)
     determinants = np.linalg.det(deformation.jacobian(VERTICES))
-    assert abs(determinants.mean() - 1.0) <= 0.005
+    assert abs(determinants.mean() - 1.0) <= 0.002
     # Six steps: an implicit midpoint step keeps volume to third order in its size.
-    np.testing.assert_allclose(determinants, 1.0, rtol=0, atol=0.1)
+    np.testing.assert_allclose(determinants, 1.0, rtol=0, atol=within)
 
 
 def test_the_axis_of_the_bent_bar_is_a_circular_arc() -> None:

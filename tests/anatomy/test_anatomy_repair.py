@@ -112,6 +112,19 @@ def test_a_clean_surface_comes_back_bit_for_bit(mesh):
     assert found.deviation.largest_mm == 0.0
 
 
+@pytest.mark.parametrize("holes", [[], [3]], ids=["clean", "open"])
+def test_vertices_of_no_face_are_removed_and_told(holes):
+    mesh = _without(ball(), holes)
+    stray = np.array([[0.0, 0.0, 0.0], [500.0, 0.0, 0.0]])
+    found = _repaired(TriMesh(np.vstack([stray, mesh.vertices]), mesh.faces + 2), RepairSettings())
+    assert (found.way, found.passed) == (Way.LOCAL, True)
+    np.testing.assert_array_equal(found.mesh.vertices, ball().vertices)
+    assert found.changes[0].code == "unused-vertices"
+    assert found.changes[0].message == "removed 2 vertices that belong to no face"
+    assert len(found.changes) == 1 + len(holes)
+    assert found.deviation.largest_mm <= 1e-9
+
+
 def test_vertices_away_from_a_defect_stay_bit_for_bit():
     mesh = ball(3)
     found = _repaired(_without(mesh, [3, 4, 5]))

@@ -73,8 +73,8 @@ def repair_surface(name: str, mesh: TriMesh, *, settings: RepairSettings, fill: 
     Returns
     -------
     Repaired
-        With the very same mesh where it has no fault; else by the first way that is valid within the limit, else the
-        valid one that stays closest, else the given mesh with the reason as last change.
+        With the very same mesh where it has no fault and no unused vertex; else by the first way that is valid within
+        the limit, else the valid one that stays closest, else the given mesh with the reason as last change.
 
     Raises
     ------
@@ -92,16 +92,20 @@ def repair_surface(name: str, mesh: TriMesh, *, settings: RepairSettings, fill: 
     untouched = Repaired(
         name, mesh, Way.UNTOUCHED, before, before, (), UNCHANGED, volume, volume, parts, parts, settings.limit_mm
     )
+    log, used = Log(), compacted(mesh)
+    unused = len(mesh.vertices) - len(used.vertices)
+    if unused:
+        log.add("unused-vertices", unused, f"removed {unused} vertices that belong to no face")
     if before.none and not _thin_or_stray(mesh, settings).any():
-        return untouched
-    log = Log()
-    soup = mended(compacted(mesh), log, settings=settings, source=source)
+        return replace(untouched, mesh=used, way=Way.LOCAL, changes=tuple(log.changes)) if unused else untouched
+    soup = mended(used, log, settings=settings, source=source)
     tried = [_local(untouched, soup, log, settings=settings, source=source)]
     if fill is not None and not tried[0].passed:
         tried.append(_resurfaced(untouched, soup, log, settings=settings, fill=fill))
         if not tried[1].passed:
             raw = TriMesh(mesh.vertices, mesh.faces)
-            tried.append(_resurfaced(untouched, compacted(raw), Log(), settings=settings, fill=fill))
+            unmended = Log(log.changes[: bool(unused)])
+            tried.append(_resurfaced(untouched, compacted(raw), unmended, settings=settings, fill=fill))
     for result in tried:
         if result.passed:
             return result

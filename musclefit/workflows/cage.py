@@ -90,6 +90,11 @@ def cage(
     units : {"mm", "cm", "m"}
         Of the skin's file.
 
+    Returns
+    -------
+    Cage
+        The mesh, in mm, with the skin that it follows and what was found in the skin's file.
+
     Raises
     ------
     InputError, MeshError

@@ -85,6 +85,11 @@ def check(
         Two tissues (other than the skin) that are closer but do not overlap fail the check; 0 switches this off.
     progress : Progress, optional
 
+    Returns
+    -------
+    Checked
+        The anatomy that could be read, and the report with its verdict.
+
     Raises
     ------
     InputError, MeshError

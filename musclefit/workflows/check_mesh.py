@@ -83,6 +83,11 @@ def check_mesh(run: str | Path, *, out: str | Path | None = None) -> MeshQuality
     out : path, optional
         A CSV file to write the table to; replaced.
 
+    Returns
+    -------
+    MeshQuality
+        All tissues together first, then each of them, at rest and deformed.
+
     Raises
     ------
     InputError

@@ -46,6 +46,11 @@ def export(
         The folder that `architecture` wrote for the same anatomy, and into the same pose for the deformed shape: .inp
         gets an orientation for each element, .vtu and .msh the directions.
 
+    Returns
+    -------
+    LabelledTets
+        What was written, in mm.
+
     Raises
     ------
     InputError

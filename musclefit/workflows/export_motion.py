@@ -58,6 +58,11 @@ def export_motion(sequence: str | Path, out: str | Path, *, progress: Progress |
         The .vtkhdf file; replaced.
     progress : Progress, optional
 
+    Returns
+    -------
+    MotionWritten
+        The file, its number of frames, and the times of frames that the sequence could not make.
+
     Raises
     ------
     InputError, MeshError

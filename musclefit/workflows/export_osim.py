@@ -123,6 +123,11 @@ def export_osim(
         Further folders to look for meshes in.
     progress : Progress, optional
 
+    Returns
+    -------
+    ExportedModel
+        Lengths before and after, the fitted wraps, and what was left as it is.
+
     Raises
     ------
     InputError, MeshError, RigError, NotConvergedError

@@ -129,6 +129,11 @@ def febio_model(
         How far apart tissues may be that face each other; the mean edge of their triangles without it. Only with
         ``sliding``.
 
+    Returns
+    -------
+    FebioWritten
+        The model, and how far it is from the run, mm.
+
     Raises
     ------
     InputError

@@ -140,6 +140,11 @@ def fit_body(
         Limits of the scan's distance from the skin: the median, and what 95 % of its area keeps.
     progress : Progress, optional
 
+    Returns
+    -------
+    FittedBody
+        The fit with its distances in mm, and whether it is within its limits (``passed``).
+
     Raises
     ------
     InputError, MeshError, LandmarkError, NotConvergedError

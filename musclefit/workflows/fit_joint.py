@@ -176,6 +176,11 @@ def fit_joint(
     units : {"mm", "cm", "m"}
         Of the files.
 
+    Returns
+    -------
+    JointFit
+        Centre (mm) and axes with their uncertainty, and whether they are to be believed (``believable``).
+
     Raises
     ------
     InputError, MeshError

@@ -133,6 +133,11 @@ def fit_measures(
         Of the template, for the rig.
     progress : Progress, optional
 
+    Returns
+    -------
+    MeasuredFit
+        The measures before and after, the cage and its targets.
+
     Raises
     ------
     InputError, MeshError, LandmarkError, RigError

@@ -155,6 +155,11 @@ def from_labels(
         Surfaces of two bones within this distance are those of their joint.
     progress : Progress, optional
 
+    Returns
+    -------
+    FromLabels
+        Surfaces (mm), how each follows its voxels, and the joints found.
+
     Raises
     ------
     InputError, MeshError

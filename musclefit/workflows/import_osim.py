@@ -125,6 +125,11 @@ def import_osim(
         Whether to go on without meshes that are nowhere.
     progress : Progress, optional
 
+    Returns
+    -------
+    ImportedModel
+        The model, its meshes, which of them are missing, and what the rig leaves out.
+
     Raises
     ------
     InputError, MeshError

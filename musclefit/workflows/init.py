@@ -35,6 +35,11 @@ def init(rig: str | Path, *, anatomy: str | Path | None = None, joints: str | Pa
     joints : path, optional
         Table of joints; the first is posed at 10 degrees, the others at 0.
 
+    Returns
+    -------
+    str
+        What to do next, in words.
+
     Raises
     ------
     InputError, RigError

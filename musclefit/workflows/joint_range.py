@@ -45,6 +45,11 @@ def joint_range(rig: RigGiven, *, overrides: Sequence[str] = (), progress: Progr
         ``key=value`` each.
     progress : Progress, optional
 
+    Returns
+    -------
+    JointRanges
+        Both ends of each joint, in degrees, and what stops it there.
+
     Raises
     ------
     RigError, MeshError, InputError

@@ -35,6 +35,11 @@ def label_surfaces(
         Of the surfaces; 3D Slicer's own are LPS.
     progress : Progress, optional
 
+    Returns
+    -------
+    ReadAnatomy
+        The surfaces, in mm, what was found in the label map, and the hashes of its files.
+
     Raises
     ------
     InputError, MeshError

@@ -98,6 +98,11 @@ def repair(
         Whether to write it; without, the target is checked and all of the work is done.
     progress : Progress, optional
 
+    Returns
+    -------
+    Repair
+        The repaired tissues, in mm; the report of each change, with its verdict; and the files written.
+
     Raises
     ------
     InputError, MeshError

@@ -121,6 +121,11 @@ def sequence(
         Whether to draw the frames.
     progress : Progress, optional
 
+    Returns
+    -------
+    FollowedMotion
+        The report; ``frames()`` reads the frames back from the folder.
+
     Raises
     ------
     RigError, LandmarkError, MeshError, InputError

@@ -50,6 +50,11 @@ def view(folder: str | Path) -> bool:
     folder : path
         As for `page_of`.
 
+    Returns
+    -------
+    bool
+        Whether a browser was found.
+
     Raises
     ------
     InputError

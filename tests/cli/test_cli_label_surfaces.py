@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,25 @@ def test_a_segmentation_is_an_anatomy(tmp_path, capsys):
     assert [(t.name, t.kind.value) for t in anatomy] == [("skin", "skin"), ("bone_core", "bone")]
     assert enclosed_volume(anatomy["bone_core"].surface) == pytest.approx(16.0**3, rel=0.12)  # corners are rounded
     assert (anatomy["skin"].surface.vertices[:, 0] < 0.0).all()  # RAS x from 8 to 38 mm is LPS x below 0
+
+
+def test_surfaces_that_cannot_be_written_whole_leave_nothing(tmp_path, monkeypatch):
+    labels = np.zeros((12, 12, 12), dtype=np.uint8)
+    labels[2:10, 2:10, 2:10], labels[4:8, 4:8, 4:8] = 3, 7
+    write_volume(tmp_path / "seg.nii.gz", labels, Grid((12, 12, 12), np.diag([2.0, 2.0, 2.0, 1.0])), description="")
+    (tmp_path / "names.csv").write_text("value,name,kind\n3,skin,skin\n7,bone_core,bone\n")
+    whole, written = Path.write_bytes, []
+
+    def once(path, data):
+        if written:
+            raise OSError(28, "No space left on device")
+        written.append(path)
+        return whole(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", once)
+    with pytest.raises(OSError, match="No space left"):
+        label_surfaces(tmp_path / "seg.nii.gz", tmp_path / "names.csv", out=tmp_path / "out", frame=Frame.LPS)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["names.csv", "seg.nii.gz"]
 
 
 def test_tables_of_labels_are_read_strictly(tmp_path):

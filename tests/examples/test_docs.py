@@ -12,6 +12,7 @@ import pytest
 from running_scripts import run_script
 
 from musclefit.cli.commands import app
+from musclefit.io.rig_names import builtin_rigs
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "rigs" / "README.md", *sorted((ROOT / "examples" / "docs").glob("*.md"))]
@@ -31,6 +32,11 @@ def test_no_link_is_dead(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         if "://" not in target:
             assert (page.parent / target).exists(), target
+
+
+def test_the_page_of_rigs_lists_all_that_come_along() -> None:
+    rows = re.findall(r"^\| (`.*?) \|", PAGES[1].read_text(encoding="utf-8").partition("```")[0], re.M)
+    assert sorted(name for row in rows for name in re.findall(r"`(\w+)`", row)) == sorted(builtin_rigs())
 
 
 def test_every_guide_is_found_from_the_readme() -> None:

@@ -305,12 +305,12 @@ def test_the_real_forearm_tells_what_folds_overlaps_bends_and_shrinks(forearm: R
     assert said["map"]["min_jacobian_determinant"] is not None
     assert said["pairs_tested"] > 100
     assert said["overlap_total"]["rest_mm3"] == pytest.approx(0.0, abs=1e-6)
-    assert said["overlap_total"]["introduced_mm3"] >= 0
+    assert said["overlap_total"]["introduced_mm3"] > 1.0
     by_kind = {kind: [t for t in said["tissues"] if t["kind"] == kind] for kind in ("bone", "muscle")}
     assert max(t["rigidity_mm"] for t in by_kind["bone"]) > 1.0, "the paper's method bends bones: this says how much"
-    assert {t["rigidity_reference"] for t in by_kind["bone"]} <= {"prescribed", "best fit"}
+    assert {t["rigidity_reference"] for t in by_kind["bone"]} == {"prescribed"}  # joints move all 30
     assert max(abs(t["volume_change_percent"]) for t in by_kind["muscle"]) > 1.0
-    assert all(math.isfinite(t["outside_skin_mm3"]) for kind in by_kind.values() for t in kind)
+    assert 0.0 <= sum(t["outside_skin_mm3"] for kind in by_kind.values() for t in kind) < 0.1
     assert said["verdict"] == "failed"
     failed = {check["name"] for check in said["checks"] if not check["passed"]}
     assert failed >= {"bone off rigid", "muscle volume change"}

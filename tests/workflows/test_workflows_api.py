@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import logging
+import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +19,11 @@ from musclefit.workflows.progress import TimedStages, Whole, watched
 
 COMMANDS = (
     "architecture",
+    "batch",
+    "collect",
+    "compare",
+    "render",
+    "view",
     "febio_model",
     "run",
     "sequence",
@@ -58,14 +66,23 @@ def test_every_public_name_is_there_and_told() -> None:
 def test_every_command_is_a_documented_function(name: str) -> None:
     made = getattr(mf, name)
     assert made.__name__ == name
-    assert "Parameters\n" in made.__doc__
-    assert "Raises\n" in made.__doc__
+    sections = re.findall(r"^ *(\w+)\n *-+$", made.__doc__, re.MULTILINE)
+    assert sections == ["Parameters", "Returns", "Raises"]
 
 
 def test_importing_musclefit_imports_no_library() -> None:
     code = "import sys, musclefit; print(sorted({'numpy', 'numba', 'pyvista', 'rich'} & sys.modules.keys()))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "[]\n"
+
+
+def test_a_checkout_that_is_not_installed_has_a_version_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", absent)
+    told = runpy.run_path(str(Path(mf.__file__).with_name("_version.py")))
+    assert told["__version__"] == "0+not-installed"
 
 
 def test_a_run_shows_itself_in_a_line_a_table_and_frames(rig: Path, tmp_path: Path) -> None:

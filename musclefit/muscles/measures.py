@@ -314,7 +314,7 @@ def measure_carried(
     Parameters
     ----------
     mapped, placed : callable
-        The map with its derivatives, and without, which is quicker.
+        The map with its derivatives, and without.
     motions : mapping of bone to RigidMotion
         Of bones that move rigidly.
     """
@@ -322,7 +322,8 @@ def measure_carried(
     volumes = signed_volumes(field.mesh.vertices, field.mesh.tets)
     used = field.used
     fibres = carried_directions(mapped, *field.placed_directions())
-    points, vertices = placed(lines.points), placed(surface.vertices)
+    cut, vertices = belly.sections.vertices, surface.vertices.copy()
+    points, vertices[cut] = placed(lines.points), placed(surface.vertices[cut])
     paths, lengths, angles = lines.measure(points, belly.directions(vertices, lines.position), count=len(found.points))
     whole = found.complete & (lengths > 0.0)
     low, high = (weighted_quantile(fibres.stretch, volumes[used], share) for share in (0.01, 0.99))

@@ -66,7 +66,8 @@ def motion_curves(
     angles_at : mapping of share of the way to joints' angles, degrees
         At 0 and at every stretch's end; empty where no joint drives.
     """
-    parts = [np.concatenate([*m.lines.points, m.surface.vertices, _middles(m.ends)]) for m in muscles]
+    cuts = [m.surface.vertices[m.belly.sections.vertices] for m in muscles]
+    parts = [np.concatenate([*m.lines.points, cut, _middles(m.ends)]) for m, cut in zip(muscles, cuts, strict=True)]
     bounds = np.cumsum([len(part) for part in parts])[:-1]
     places = np.concatenate(parts)
     states: list[list[MotionState]] = [[] for _ in muscles]
@@ -85,7 +86,8 @@ def _state(
     muscle: MovingMuscle, own: Points, *, at: float, angles: Mapping[str, float], before: Sequence[MotionState]
 ) -> MotionState:
     count = sum(map(len, muscle.lines.points))
-    points, vertices, middles = own[:count], own[count:-2], own[-2:]
+    points, middles, vertices = own[:count], own[-2:], muscle.surface.vertices.copy()
+    vertices[muscle.belly.sections.vertices] = own[count:-2]
     lines = Lines.of(muscle.lines, muscle.belly)
     tangents = muscle.belly.directions(vertices, lines.position)
     paths, fibres, turned = lines.measure(points, tangents, count=len(muscle.lines.points))

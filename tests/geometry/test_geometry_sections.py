@@ -67,6 +67,19 @@ def test_a_sheared_cylinder_is_measured_across_its_centreline() -> None:
     assert found.length == pytest.approx(200.0 * np.hypot(1.0, 0.75), rel=1e-2)
 
 
+def test_the_vertices_that_are_named_are_all_that_is_looked_at() -> None:
+    surface = ellipsoid(60.0, 10.0, 7.0)
+    sections = sections_along(surface)
+    named = sections.vertices
+    assert len(named) < len(surface.vertices)
+    others = np.setdiff1d(np.arange(len(surface.vertices)), named)
+    lost = surface.vertices.copy()
+    lost[others] = np.nan
+    found, whole = sections.measure(lost), sections.measure(surface.vertices)
+    np.testing.assert_array_equal(found.centreline, whole.centreline)
+    np.testing.assert_array_equal(found.areas, whole.areas)
+
+
 def test_growing_scales_lengths_and_areas() -> None:
     surface = ellipsoid(50.0, 9.0, 6.0)
     sections = sections_along(surface)

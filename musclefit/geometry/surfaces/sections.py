@@ -52,6 +52,12 @@ class Sections:
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
         object.__setattr__(self, "weights", frozen(self.weights))
 
+    @property
+    def vertices(self) -> Int:
+        """(u,) the numbers, rising, of the vertices that `measure` looks at."""
+        found: Int = np.unique(np.concatenate([self.edges.ravel(), self.ends]))
+        return found
+
     def measure(self, vertices: Points) -> SectionMeasures:
         r"""Centreline and section areas with the surface's vertices at (n, 3) places, mm.
 

@@ -57,7 +57,7 @@ from musclefit.certify.folds import Search, find_fold, find_second_midpoint
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
 from musclefit.certify.pairs import PairProof, prove_one_to_one
 from musclefit.certify.regions import CELLS, Region
-from musclefit.certify.strain import Condition
+from musclefit.certify.strain import Condition, prepared
 from musclefit.errors import InputError
 from musclefit.fields.protocol import Field
 from musclefit.geometry.arrays import Bool, Points
@@ -164,6 +164,7 @@ def certify_map(
         )
     with (progress or Silent()).stage(CERTIFY) as raw_tick:
         spent, tick = 0, _never_back(raw_tick)
+        steps = [(kind, prepared(field)) for kind, field in steps]
         for voxels in SHELLS if isinstance(skin, TriMesh) else SHELLS[:1]:
             body = _Body.of(skin, voxels=voxels, tissues=tissues, points=points)
             body.pieces_left, body.cells = PIECES_PER_BOX * max_boxes, round(CELLS_PER_VOXEL * voxels)

@@ -60,7 +60,7 @@ _IDLE_KEYS: Mapping[BackendKind, tuple[str, ...]] = {
 }
 """Keys of the deformer that a backend has no use for."""
 
-BOXES_OF_MANY_HANDLES = 5000
+BOXES_OF_MANY_HANDLES = 150_000
 """Default of ``certificate.max_boxes`` with backend "multilevel": a minute or two of one core for 200,000 handles."""
 
 SECTIONS: Mapping[str, type[DataclassInstance]] = {

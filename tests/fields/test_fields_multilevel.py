@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from musclefit.certify.maps import certify_map
+from musclefit.certify.strain import Condition, prepared, strain_ranges
 from musclefit.errors import FieldError
+from musclefit.fields.enclosures.cell_slopes import CellSlopes
 from musclefit.fields.evaluation.neighbours import Cells
 from musclefit.fields.fitting import multilevel
 from musclefit.fields.fitting.multilevel import MultilevelBackend
 from musclefit.fields.radial import RadialBackend
+from musclefit.vocabulary import Claim, StepKind
 
 RNG = np.random.default_rng(0)
+BOX = np.array([[90.0, 0.0, 0.0]]), np.full((1, 3), 10.0)
+"""Around half of the uneven points."""
 
 
 def uneven(count: int, *, dimensions: int = 3) -> np.ndarray:
@@ -76,10 +84,12 @@ def test_gradients_are_derivatives_and_scaling_scales(small_base):
     np.testing.assert_allclose(field.scaled(-2.0).gradient(points), -2.0 * gradients, rtol=0, atol=1e-12)
 
 
-def test_bounds_hold_at_every_sampled_place(small_base):
+@pytest.mark.parametrize("prepared", [False, True])
+def test_bounds_hold_at_every_sampled_place(small_base, prepared):
     """An attack: boxes of all sizes, sampled densely; not one place may leave what is proved of it."""
     at = uneven(500)
     field = MultilevelBackend("r3").fit(at, smooth(at))
+    field = field.prepared() if prepared else field
     centres = np.concatenate([at[::10] + RNG.normal(scale=0.3, size=at[::10].shape), RNG.uniform(-90, 90, (30, 3))])
     half_widths = np.exp(RNG.uniform(-6, 2, (len(centres), 1))) * np.ones(3)
     radii = half_widths[:, 0]
@@ -108,6 +118,57 @@ def test_bounds_hold_at_every_sampled_place(small_base):
         if places is in_boxes:
             inside = np.abs(moved.reshape(places.shape) - values[:, None]) <= spread[:, None] + 1e-12
             assert inside.all()
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_slopes_of_cells_are_never_exceeded(small_base, dimensions):
+    """An attack on the bound of the compact layers from any one on, over boxes of all sizes, with their corners."""
+    at = uneven(500, dimensions=dimensions)
+    layers = MultilevelBackend("r3").fit(at, smooth(at)).layers[1:]
+    slopes = CellSlopes.of(layers)
+    centres = np.concatenate([at[::10], RNG.uniform(-90, 90, (50, dimensions))])
+    half_widths = np.exp(RNG.uniform(-6, 5, (len(centres), 1))) * np.ones(dimensions)
+    corners = np.sign(RNG.uniform(-1, 1, (len(centres), 20, dimensions)))
+    places = (
+        centres[:, None] + np.concatenate([corners, RNG.uniform(-1, 1, corners.shape)], axis=1) * half_widths[:, None]
+    )
+    for first in range(len(layers)):
+        gradients = sum(layer.gradient(places.reshape(-1, dimensions)) for layer in layers[first:])
+        lengths = np.linalg.norm(gradients, 2, axis=(1, 2)).reshape(places.shape[:2]).max(axis=1)
+        bounds = slopes.over(centres, half_widths, np.full(len(centres), first))
+        assert (lengths <= bounds).all()
+        assert first or lengths.max() > 0.02 * bounds.max()
+    beyond = np.full((1, dimensions), 1e4)
+    everything = np.full((1, dimensions), 1e9)
+    assert slopes.over(beyond, np.ones_like(beyond), np.array([len(layers)])) == 0.0
+    assert slopes.over(beyond, everything, np.array([0])) == slopes.levels[-1][0].max()
+    assert slopes.over(beyond * np.nan, everything, np.array([0])) == np.inf
+
+
+def test_what_a_field_says_of_its_slopes_proves_nothing(small_base):
+    """A certificate finds them anew: those that a field was given may be wrong."""
+    at = uneven(300)
+    field = MultilevelBackend("r3").fit(at, smooth(at))
+    right = field.prepared()
+    assert right.slopes is not None
+    wrong = replace(right, slopes=replace(right.slopes, levels=tuple(0.0 * level for level in right.slopes.levels)))
+    box = np.zeros((1, 3)), np.full((1, 3), 50.0)
+    assert prepared(wrong).gradient_bounds(*box)[1] == right.gradient_bounds(*box)[1] > wrong.gradient_bounds(*box)[1]
+    assert field.scaled(2.0).slopes is None
+
+
+def test_a_step_of_many_handles_is_proved_in_few_boxes(small_base):
+    """Boxes wide for the finest supports are proved as they are, by the slopes of cells."""
+    at = uneven(3000)
+    field = MultilevelBackend("r3").fit(at, 0.3 * smooth(at))
+    found = certify_map([(StepKind.CAYLEY, field)], at, max_boxes=20_000)
+    assert found.claim is Claim.CERTIFIED
+    condition, everything = Condition.of(StepKind.CAYLEY), (np.inf, -np.inf)
+    strong = field.scaled(10.0)
+    alone, known = (
+        condition.margins(strain_ranges(f, *BOX, enough=everything)[0]) for f in (strong, strong.prepared())
+    )
+    assert alone < 0.0 < known  # every source in the box counts, or those of its worst cell
 
 
 def test_what_cannot_be_fitted_is_said():

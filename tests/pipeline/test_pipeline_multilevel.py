@@ -36,7 +36,7 @@ def test_every_handle_arrives_and_the_claim_is_certified_or_undecided(rig, monke
     assert done.report.result.map.claim in (Claim.CERTIFIED, Claim.UNDECIDED)
     assert done.report.result.map.folded_points == 0
     assert "refined by compact levels" in done.report.result.method
-    assert done.job.rig.certificate.max_boxes == 5000
+    assert done.job.rig.certificate.max_boxes == 150_000
 
 
 def test_the_papers_loop_goes_by_the_same_levels(rig):

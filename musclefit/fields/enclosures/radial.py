@@ -15,6 +15,7 @@ from musclefit.errors import FieldError
 from musclefit.fields.enclosures.radial_sums import BoxSums, box_sums
 from musclefit.fields.enclosures.source_terms import rounding_share
 from musclefit.fields.enclosures.values import value_sums
+from musclefit.fields.evaluation.neighbours import Cells
 from musclefit.fields.kernels import RadialKernel, kernel_named
 from musclefit.geometry.arrays import Float, Gradients, Points
 
@@ -117,7 +118,12 @@ def displacement_bounds(field: RadialSum, centres: Points, half_widths: Float) -
     known = kernel.proved()
     slope = table[4].max() / (1.0 if known.extent is None else scale)
     add = value_sums(known.values, known.steepest, isochoric=kernel.isochoric)
-    add(scale, slope, sources, weights, sizes, boxes.local, boxes.blur, summed, errors)
+    cells = Cells.single(len(sizes))
+    if kernel.compact and len(sizes):  # 4 blurs: rounding takes no source into a cell beyond those around a point
+        cells = Cells.of(sources.T, width=(scale + 4.0 * boxes.blur) * (1.0 + 1e-9))
+        sources, weights, sizes = (np.ascontiguousarray(a[..., cells.order]) for a in (sources, weights, sizes))
+    where = cells.low, cells.width, cells.counts, cells.starts
+    add(scale, slope, sources, weights, sizes, *where, boxes.local, boxes.blur, summed, errors)
     affine = field.translation + (centres - field.origin) @ field.linear.T
     values: Points = affine + summed[:, :n]
     parts = (

@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from musclefit.compiling import njit
 from musclefit.geometry.arrays import Float, Int, Points
 
 CELLS_PER_SOURCE, FEWEST_CELLS = 4, 32_768
@@ -53,3 +54,21 @@ class Cells:
     def single(cls, count: int) -> Self:
         """All of ``count`` sources in one cell that covers space."""
         return cls(np.zeros(3), np.inf, np.ones(3, np.int64), np.array([0, count]), np.arange(count))
+
+
+@njit(inline="always")
+def runs_around(x, y, z, low, width, counts, starts, runs):
+    """Write the runs of sources in the 27 cells around a point to ``runs``; gives how many."""
+    i, j = int(np.floor((x - low[0]) / width)), int(np.floor((y - low[1]) / width))
+    k = int(np.floor((z - low[2]) / width))
+    first, last = max(k - 1, 0), min(k + 1, counts[2] - 1)
+    found = 0
+    if first <= last:
+        for p in range(max(i - 1, 0), min(i + 2, counts[0])):
+            for q in range(max(j - 1, 0), min(j + 2, counts[1])):
+                cell = (p * counts[1] + q) * counts[2]
+                start, stop = starts[cell + first], starts[cell + last + 1]
+                if start < stop:
+                    runs[found, 0], runs[found, 1] = start, stop
+                    found += 1
+    return found

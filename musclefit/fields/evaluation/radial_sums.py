@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from musclefit.compiling import njit, threaded
+from musclefit.fields.evaluation.neighbours import runs_around
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 """LLVM flags: reorder sums; NaN and infinity keep their meaning."""
@@ -36,24 +37,6 @@ def _add(total, first, u, v, w):
     total[first] += u
     total[first + 1] += v
     total[first + 2] += w
-
-
-@njit(inline="always")
-def _runs(x, y, z, low, width, counts, starts, runs):
-    """Write the runs of sources in the 27 cells around a point to ``runs``; gives how many."""
-    i, j = int(np.floor((x - low[0]) / width)), int(np.floor((y - low[1]) / width))
-    k = int(np.floor((z - low[2]) / width))
-    first, last = max(k - 1, 0), min(k + 1, counts[2] - 1)
-    found = 0
-    if first <= last:
-        for p in range(max(i - 1, 0), min(i + 2, counts[0])):
-            for q in range(max(j - 1, 0), min(j + 2, counts[1])):
-                cell = (p * counts[1] + q) * counts[2]
-                start, stop = starts[cell + first], starts[cell + last + 1]
-                if start < stop:
-                    runs[found, 0], runs[found, 1] = start, stop
-                    found += 1
-    return found
 
 
 @njit(inline="always")
@@ -228,7 +211,7 @@ def radial_sums(formula: Any, *, isochoric: bool) -> RadialSums:
             runs = np.empty((9, 2), np.int64)
             for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
                 where = (points[i, 0], points[i, 1], points[i, 2])
-                for run in range(_runs(where[0], where[1], where[2], low, width, counts, starts, runs)):
+                for run in range(runs_around(where[0], where[1], where[2], low, width, counts, starts, runs)):
                     start, stop = runs[run, 0], runs[run, 1]
                     value_row(scale, where, _part(centres, start, stop), _part(weights, start, stop), out[i])
 
@@ -240,7 +223,7 @@ def radial_sums(formula: Any, *, isochoric: bool) -> RadialSums:
             runs = np.empty((9, 2), np.int64)
             for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
                 where = (points[i, 0], points[i, 1], points[i, 2])
-                for run in range(_runs(where[0], where[1], where[2], low, width, counts, starts, runs)):
+                for run in range(runs_around(where[0], where[1], where[2], low, width, counts, starts, runs)):
                     start, stop = runs[run, 0], runs[run, 1]
                     gradient_row(scale, where, _part(centres, start, stop), _part(weights, start, stop), out[i])
 

@@ -16,13 +16,17 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from musclefit.errors import FieldError
+from musclefit.fields.evaluation.neighbours import Cells
 from musclefit.fields.kernels import kernel_named
 from musclefit.fields.layered import LayeredField
 from musclefit.fields.radial import RadialBackend, RadialField
 from musclefit.geometry.arrays import Bool, Float, Int, Points
 
-BASE = 1000
-"""Handles that the radial sum goes through, about: its system is dense."""
+BASE = 4000
+"""Handles that the radial sum goes through at most, about: its system is dense."""
+
+FEW = 1000
+"""It goes through all of so many, and of more through half of them at most: the others may be very close to these."""
 
 SUPPORT = 4.0
 """Of a level, in units of its spacing."""
@@ -98,14 +102,14 @@ class MultilevelBackend:
 
 
 def _coarse(at: Points) -> tuple[float, Int]:
-    """A spacing at which about ``BASE`` handles are apart, and these; all of them where there are no more."""
+    """A spacing at which about ``BASE`` handles are apart, or half of them, and these; all where there are few."""
     extent = float(np.linalg.norm(np.ptp(at, axis=0))) or 1.0
-    if len(at) <= BASE:
+    if len(at) <= min(FEW, BASE):
         return extent, np.arange(len(at))
     spacing, nobody = extent / 4.0, np.zeros(len(at), dtype=bool)
     while True:
         found = _apart(at, nobody, spacing, before=np.zeros(0, dtype=np.int64))
-        if len(found) >= BASE:
+        if len(found) >= min(BASE, len(at) // 2):
             return spacing, found
         spacing /= 1.2
 
@@ -137,8 +141,10 @@ def _level(at: Points, left: Points, *, new: Int, met: Bool, support: float, tol
     joined = np.isin(group, group[: len(new)])
     here, matrix = here[joined], sparse.csr_matrix(matrix[joined][:, joined])
     weights = _solved(matrix, left[here], tolerance=tolerance)
-    counts = np.abs(weights).max(axis=1) > 1e-3 * tolerance
+    counts = np.flatnonzero(np.abs(weights).max(axis=1) > 1e-3 * tolerance)
     n = at.shape[1]
+    if len(counts):  # sorted as sums look them up, which is quicker then
+        counts = counts[Cells.of(np.pad(at[here][counts], ((0, 0), (0, 3 - n))), width=support).order]
     return RadialField(
         kernel=LEVEL_KERNEL,
         scale=support,

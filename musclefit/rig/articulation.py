@@ -4,9 +4,11 @@ A joint moves one bone so that its surface slides along the other's: the joint's
 themselves. So an axis with direction a through c is sought about which both are, as nearly as can be, surfaces of
 revolution: their normals n at p lie in a plane with the axis, that is, :math:`n \cdot (a \times (p - c)) = 0`. No
 radius is in that, so a trochlea (a saddle), a roller and a condyle serve alike, and the two bones are fitted
-together, each with the same say however large its surface is. A ball's centre is where all normals meet. Bones are
-neither: the sines of the angles that are left over count by Geman and McClure's loss, so that places that fit no axis
-weigh no more the less they fit.
+together, each with the same say however large its surface is. A ball's centre is where all normals meet. A condyle or a
+saddle with two axes is about a torus, which turns into itself about one of them alone. The other is where the normals
+meet in the half-plane that all places are turned into about the first, at right angles to that half-plane as it passes
+through the middle of what faces. Bones are none of these: the sines of the angles that are left over count by Geman and
+McClure's loss, so that places that fit no axis weigh no more the less they fit.
 
 References: Pottmann and Randrup, Rotational and helical surface approximation for reverse engineering, Computing 60
 (1998); Gelfand and Guibas, Shape segmentation using local slippage analysis, SGP 2004.
@@ -69,6 +71,16 @@ LONG = 1.5
 
 FARTHEST = 2.0
 """How far an axis may be from the joint's middle, in times the joint's size."""
+
+DEPTHS = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)
+"""How far from the joint's middle a second axis is first looked for, in times the joint's size: towards the first axis
+and away from it."""
+
+SAME = 0.1
+"""Second axes nearer to each other than this, in times the joint's size, are one."""
+
+MOST_SECONDS = 2
+"""Of them so many are sought again when patches are drawn anew: which of two depths is the better one may change."""
 
 DIRECTIONS = 60
 """Of axes that are tried, over half of the sphere."""
@@ -330,34 +342,27 @@ def _drawn(end: _End, rng: np.random.Generator) -> _End:
 
 
 def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: float, *, swings: bool) -> FittedJoint:
-    second: _Line | None
     lines = _best_lines(drawn, region, swings=swings)
     first = lines[0]
-    axes, centre, apart, second = first.along[None], _nearest_on(first, region.middle), 0.0, None
-    if not swings:
-        second = _best_lines(drawn, region, swings=False, across=first.along)[0]
+    seconds = [] if swings else _seconds(drawn, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
+    second = seconds[0].line if seconds else None
+    fitted, starts = _Pair(first, second), [found.start for found in seconds[:MOST_SECONDS]]
+    centre = fitted.centre(region)
+    axes, apart = first.along[None], 0.0
+    if second is not None:
         axes = np.array([first.along, second.along])
-        between = np.cross(first.along, second.along)
-        between = between / np.linalg.norm(between)
-        apart = float((second.at - first.at) @ between)
-        centre = _between(first, second)
+        apart = abs(float((second.at - first.at) @ np.cross(first.along, second.along)))
     alone = [_best_lines([end], region, swings=swings)[0] for end in drawn]
     others = [line for line in lines[1:] if line.loss < NEARLY * first.loss]
     if second is not None:
         others = [line for line in others if _angle(line.along, second.along) > APART_DEG]
-    draws = [_refined(sample, first, region) for sample in _redrawn(drawn, region)]
-    angles = np.array([_angle(line.along, first.along) for line in draws])
-    if second is None:
-        off = np.array([_line_distance(first, line, centre) for line in draws])
-    else:
-        seconds = [
-            _refined(sample, _turned(second, line.along), region, across=line.along)
-            for sample, line in zip(_redrawn(drawn, region), draws, strict=True)
-        ]
-        places = [_between(line, other) for line, other in zip(draws, seconds, strict=True)]
-        off = np.linalg.norm(np.array(places) - centre, axis=1)
-    bones_deg, bones_mm = _bones_disagree(drawn, (first, second), region, centre)
-    redrawn_deg, redrawn_mm = float(np.sqrt((angles**2).mean())), float(np.sqrt((off**2).mean()))
+    draws = [_near(sample, fitted, region, starts) for sample in _redrawn(drawn, region)]
+    off = np.array([fitted.off(pair, region) for pair in draws])
+    redrawn_deg, redrawn_mm = (float(v) for v in np.sqrt((off**2).mean(axis=0)))
+    one, other = (_near([end], fitted, region, starts) for end in drawn)
+    # Half of the difference of two estimates of one thing that err alike is the standard deviation of their mean.
+    # They are sought from the joint of both, as one bone alone may have another axis that the other bone rules out.
+    bones_deg, bones_mm = (0.5 * v for v in one.off(other, region, near=centre))
     sides = tuple(
         _side(of, end, small, first, _angle(line.along, first.along), _line_distance(line, first, centre))
         for of, end, small, line in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
@@ -367,7 +372,7 @@ def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: flo
         kind,
         frozen(centre),
         frozen(axes),
-        abs(apart),
+        apart,
         gap,
         sides,
         float(np.hypot(redrawn_deg, bones_deg)),
@@ -378,29 +383,101 @@ def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: flo
     )
 
 
-def _bones_disagree(
-    drawn: Sequence[_End],
-    axes: tuple[_Line, _Line | None],
-    region: _Region,
-    centre: Points,
-) -> tuple[float, float]:
-    """Half of how far apart the joints are that each bone alone would give, near the one of both: degrees, and mm.
+@dataclass(frozen=True, eq=False, slots=True)
+class _Pair:
+    """A joint's first axis, and its second if it has two."""
 
-    Half of the difference of two estimates of one thing that err alike is the standard deviation of their mean. They
-    are sought from the joint of both, as one bone alone may have another axis that the other bone rules out.
-    """
-    first, second = axes
-    firsts = [_refined([end], first, region) for end in drawn]
-    if second is None:
-        one, other = firsts
-        return 0.5 * _angle(one.along, other.along), 0.5 * _line_distance(one, other, centre)
-    seconds = [
-        _refined([end], _turned(second, line.along), region, across=line.along)
-        for end, line in zip(drawn, firsts, strict=True)
-    ]
-    places = [_between(line, across) for line, across in zip(firsts, seconds, strict=True)]
-    angle = _angle(firsts[0].along, firsts[1].along)
-    return 0.5 * angle, 0.5 * float(np.linalg.norm(places[0] - places[1]))
+    first: _Line
+    second: _Line | None
+
+    def centre(self, region: _Region) -> Points:
+        """Of two axes halfway between them, of one what is nearest to the middle of what faces."""
+        return _nearest_on(self.first, region.middle) if self.second is None else _between(self.first, self.second)
+
+    def off(self, other: _Pair, region: _Region, *, near: Points | None = None) -> tuple[float, float]:
+        """Degrees between first axes, and distance of the centres or, near a point, of single axes.
+
+        An axis beyond where it may be (`FARTHEST`) counts as there: a draw may have lost it altogether.
+        """
+        if self.second is None or other.second is None:
+            away = _line_distance(self.first, other.first, self.centre(region) if near is None else near)
+        else:
+            away = float(np.linalg.norm(self.centre(region) - other.centre(region)))
+        return _angle(self.first.along, other.first.along), min(away, FARTHEST * region.size)
+
+
+def _near(ends: Sequence[_End], fitted: _Pair, region: _Region, starts: Sequence[tuple[float, float]]) -> _Pair:
+    """The joint of other samples near one; its second axis is the best of those found from some starts."""
+    first = _refined(ends, fitted.first, region)
+    return _Pair(first, _seconds(ends, first, region, starts=starts)[0].line if starts else None)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Second:
+    """A second axis, and what it is found again from: how far it is from the joint's middle, in times its size."""
+
+    line: _Line
+    start: tuple[float, float]
+
+
+def _seconds(
+    ends: Sequence[_End], first: _Line, region: _Region, *, starts: Sequence[tuple[float, float]]
+) -> list[_Second]:
+    """Axes at right angles to the first about which the profile is bent that turns about the first, the best first."""
+    blur = BLUR * region.size
+    profiles = [_profile(end, first, blur) for end in ends]
+    middle = region.middle - _nearest_on(first, region.middle)
+    radius = float(np.linalg.norm(middle))
+    outwards = middle / radius if radius > 1e-9 * region.size else _across(first.along)[0]
+    along_first = float((region.middle - first.at) @ first.along)
+
+    def roots(x: Float) -> Float:
+        at = np.array([radius + region.size * x[0], along_first + region.size * x[1]])
+        return np.concatenate(
+            [_roots(end, profile.sines(at, blur)) for end, profile in zip(ends, profiles, strict=True)]
+        )
+
+    found: list[_Second] = []
+    for start in starts:
+        fit = least_squares(roots, np.array(start), method="lm", max_nfev=200)
+        x = np.clip(fit.x, -FARTHEST, FARTHEST)
+        if any(np.abs(x - other.start).max() < SAME for other in found):
+            continue
+        at = _nearest_on(first, region.middle) + region.size * x[1] * first.along
+        at = at + (radius + region.size * x[0]) * outwards
+        loss = float((roots(x) ** 2).sum()) / len(ends)
+        found.append(_Second(_Line(at, np.cross(first.along, outwards), loss), (float(x[0]), float(x[1]))))
+    return sorted(found, key=lambda second: second.line.loss)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Profile:
+    """Places and normals turned about an axis into a half-plane: away from the axis and along it, and a share each."""
+
+    points: Float
+    normals: Float
+    counts: Float
+
+    def sines(self, at: Float, blur: float) -> Float:
+        """Of the angles between normals and the ways to a place of the half-plane; small where the place is near it."""
+        way = self.points - at
+        crossed = self.normals[:, 0] * way[:, 1] - self.normals[:, 1] * way[:, 0]
+        sines: Float = self.counts * crossed / np.sqrt((way**2).sum(axis=1) + blur**2)
+        return sines
+
+
+def _profile(end: _End, axis: _Line, blur: float) -> _Profile:
+    """Near the axis the way from it is not told, and places count less."""
+    way = end.points - axis.at
+    height = way @ axis.along
+    way = way - height[:, None] * axis.along
+    radius = np.linalg.norm(way, axis=1)
+    outwards = np.einsum("ni,ni->n", end.normals, way) / np.maximum(radius, 1e-12)
+    return _Profile(
+        np.column_stack([radius, height]),
+        np.column_stack([outwards, end.normals @ axis.along]),
+        radius / np.sqrt(radius**2 + blur**2),
+    )
 
 
 def _sines(end: _End, at: Points, along: Float, blur: float) -> Float:
@@ -421,10 +498,10 @@ def _roots(end: _End, sines: Float) -> Float:
     return roots
 
 
-def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool, across: Float | None = None) -> list[_Line]:
+def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool) -> list[_Line]:
     """The best axes with directions apart from each other, the best first."""
     blur = BLUR * region.size
-    directions = _directions() if across is None else _directions_across(across)
+    directions = _directions()
     if swings and len(region.lengths):
         directions = directions[~region.spins(directions)]
     tried = []
@@ -437,7 +514,7 @@ def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool, across: 
     tried.sort(key=lambda line: line.loss)
     found: list[_Line] = []
     for line in tried[:STARTS]:
-        fine = _refined(ends, line, region, across=across)
+        fine = _refined(ends, line, region)
         if region.allows(fine, swings=swings):
             found.append(fine)
     if not found:
@@ -450,10 +527,10 @@ def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool, across: 
     return apart
 
 
-def _refined(ends: Sequence[_End], start: _Line, region: _Region, *, across: Float | None = None) -> _Line:
-    """The best line near a start; where ``across`` is given, at right angles to it, as the start is."""
+def _refined(ends: Sequence[_End], start: _Line, region: _Region) -> _Line:
+    """The best line near a start."""
     u, v = _across(start.along)
-    turns = np.array([u, v]) if across is None else np.cross(across, start.along)[None]
+    turns = np.array([u, v])
     blur = BLUR * region.size
 
     def line(x: Float) -> tuple[Points, Float]:
@@ -464,7 +541,7 @@ def _refined(ends: Sequence[_End], start: _Line, region: _Region, *, across: Flo
         at, along = line(x)
         return np.concatenate([_loss_roots(end, at, along, blur) for end in ends])
 
-    found = least_squares(roots, np.zeros(2 + len(turns)), method="lm", max_nfev=200)
+    found = least_squares(roots, np.zeros(4), method="lm", max_nfev=200)
     at, along = line(found.x)
     return _Line(at, along, 2.0 * float(found.cost) / len(ends))
 
@@ -476,13 +553,6 @@ def _directions() -> Float:
     all_of_them = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
     half: Float = all_of_them[z > 0.0]
     return half
-
-
-def _directions_across(axis: Float) -> Float:
-    u, v = _across(axis)
-    turns = np.arange(18) * np.pi / 18
-    found: Float = np.cos(turns)[:, None] * u + np.sin(turns)[:, None] * v
-    return found
 
 
 # Balls
@@ -549,12 +619,6 @@ def _redrawn(ends: Sequence[_End], region: _Region) -> Iterator[list[_End]]:
             times = np.bincount(rng.integers(0, count, count), minlength=count)[patch]
             sample.append(_End(end.points, end.normals, end.areas * times, end.facing))
         yield sample
-
-
-def _turned(line: _Line, across: Float) -> _Line:
-    """The line with its direction at right angles to another one."""
-    along = line.along - (line.along @ across) * across
-    return _Line(line.at, along / np.linalg.norm(along), line.loss)
 
 
 def _side(of: str, end: _End, drawn: _End, joint: _Line | Points, turned: float, apart: float) -> Side:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from joint_shapes import KnownJoint, known_joint, missed
 
 from musclefit.errors import InputError
@@ -15,7 +16,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.anatomy import read_surface
 from musclefit.io.opensim_geometry import find_geometry, placed_meshes
-from musclefit.rig.articulation import FittedJoint, fitted_joint
+from musclefit.rig.articulation import FARTHEST, FittedJoint, fitted_joint
 from musclefit.rig.joint_kinds import JointKind
 from musclefit.workflows.fit_joint import JointFit
 from musclefit.workflows.import_osim import read_osim
@@ -46,6 +47,26 @@ def test_joints_come_back(
     assert off.degrees <= 3.0 * found.uncertain_deg
     assert off.mm <= 4.0 * found.uncertain_mm
     assert found.uncertain_deg < 12.0
+
+
+@pytest.mark.parametrize(("name", "apart"), [("condyle", 6.0), pytest.param("saddle", 19.0, marks=pytest.mark.slow)])
+def test_both_axes_of_a_torus_are_at_their_depths(name: str, apart: float) -> None:
+    """Only about the first does a torus turn into itself; the second is where the normals of its profile meet."""
+    known = known_joint(name, noise_mm=0.0)
+    found = fit(known)
+    assert missed(found, known).mm < 0.1
+    assert found.apart_mm == pytest.approx(apart, abs=0.2)
+
+
+def test_draws_that_lose_an_axis_count_as_far_as_it_may_be() -> None:
+    """One of 40 that lies kilometres away says that the joint is not sure, and no number of kilometres."""
+    flat = trimesh.creation.box([60.0, 60.0, 4.0]).subdivide().subdivide()
+    fixed = TriMesh(np.asarray(flat.vertices), np.asarray(flat.faces))
+    moving = TriMesh(fixed.vertices + np.array([0.0, 0.0, 6.0]), fixed.faces)
+    found = fitted_joint(fixed, moving, kind=JointKind.UNIVERSAL)
+    size = np.sqrt(2.0) * 30.0
+    assert found.uncertain_mm < 2.0 * FARTHEST * size
+    assert not JointFit("a", "b", found).believable
 
 
 def test_the_fineness_of_a_bone_changes_nothing() -> None:

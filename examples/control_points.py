@@ -75,7 +75,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         points = write_case(folder, parser.parse_args().count)
-        nearest = cKDTree(points).query(points, k=2)[0][:, 1].min()
+        nearest = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1].min()
         command = ["run", str(folder / "rig.toml"), "--no-pictures", "--out", str(folder / "run"), "--quiet"]
         before, clock = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
         code = subprocess.run([sys.executable, "-m", "musclefit", *command], check=False).returncode

@@ -120,7 +120,17 @@ def _halved(bounds: Float) -> Float:
 
 
 @njit(cache=True, error_model="numpy")
-def _add(centres, sizes, scale, extent, majorant, low, width, blur, total):
+def _add(
+    centres: Points,
+    sizes: Float,
+    scale: float,
+    extent: float,
+    majorant: Float,
+    low: Points,
+    width: float,
+    blur: float,
+    total: Float,
+) -> None:
     """Add the sources' bounds to every cell that their supports meet."""
     most = majorant.size - 1
     half = 0.5 * width

@@ -57,7 +57,7 @@ class Cells:
 
 
 @njit(inline="always")
-def runs_around(x, y, z, low, width, counts, starts, runs):
+def runs_around(x: float, y: float, z: float, low: Float, width: float, counts: Int, starts: Int, runs: Int) -> int:
     """Write the runs of sources in the 27 cells around a point to ``runs``; gives how many."""
     i, j = int(np.floor((x - low[0]) / width)), int(np.floor((y - low[1]) / width))
     k = int(np.floor((z - low[2]) / width))

@@ -10,7 +10,7 @@ moves the bone exactly. Near a bone B is close to A_k, so that the fading costs 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, Self, runtime_checkable
@@ -27,6 +27,12 @@ from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, froze
 
 ROUNDING = 1e-13
 """Of computed gradients and eigenvalues, in units of the sizes that they are made of."""
+
+FEW_TURNS = 7
+"""Known directions along which a weight may turn over a box: as many as three bones beside each other make."""
+
+AT_ONCE = 16384
+"""Boxes whose displacements and gradients are bounded at once: what they take in memory grows with the bones."""
 
 
 @runtime_checkable
@@ -290,9 +296,12 @@ class LockedField:
 
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
-        half_widths = np.broadcast_to(half_widths, centres.shape)
-        boxes = self._boxes(centres, half_widths)
-        return self._enclosed(boxes, self._bare(boxes))
+
+        def bounds(centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+            boxes = self._boxes(centres, half_widths)
+            return self._enclosed(boxes, self._bare(boxes))
+
+        return _some_at_once(bounds, centres, half_widths)
 
     def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
         """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.
@@ -339,7 +348,9 @@ class LockedField:
 
     def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, 3) each, mm."""
-        half_widths = np.broadcast_to(half_widths, centres.shape)
+        return _some_at_once(self._displacement_bounds, centres, half_widths)
+
+    def _displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         boxes = self._boxes(centres, half_widths)
         values = self.displacement(centres)
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14)
@@ -395,19 +406,21 @@ class LockedField:
         found = self._distances(centres, half_widths)
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-12)
         weights = []
+        bare, own_lock = np.ones(count, dtype=bool), np.full(count, -1)
         for k, (lock, own) in enumerate(zip(self.locks, found, strict=True)):
             near = np.flatnonzero(lock.may_count(own))
             distance = own.only(near)
             jets = distance.risen(lock.nearness.surface_mm, lock.fade.over_mm).complement()
             for j, other in enumerate(found):
-                if j != k:
-                    farther = other.only(near).minus(distance, reach[near])
-                    jets = jets.times(farther.risen(0.0, self._apart(k, j)))
-            weights.append(jets.among(near, count))
-        bare, own_lock = np.ones(count, dtype=bool), np.full(count, -1)
-        for k, jets in enumerate(weights):
-            bare &= jets.high == 0.0
-            own_lock[jets.low == 1.0] = k
+                if j == k:
+                    continue
+                close = np.flatnonzero(other.low[near] - distance.high < self._apart(k, j))
+                if close.size:  # elsewhere it leaves all of the weight
+                    farther = other.only(near[close]).minus(distance.only(close), reach[near[close]])
+                    jets = jets.times_some(close, farther.risen(0.0, self._apart(k, j))).with_few_turns(FEW_TURNS)
+            weights.append(_Weight(near, jets))
+            bare[near[jets.high != 0.0]] = False
+            own_lock[near[jets.low == 1.0]] = k
         return _Boxes(centres, half_widths, tuple(weights), bare, own_lock)
 
     def _distances(self, centres: Points, half_widths: Float) -> list[Jets]:
@@ -461,19 +474,21 @@ class LockedField:
             part, found = boxes.only(touched), bare.only(touched)
             reach = np.linalg.norm(part.half_widths, axis=1) * (1.0 + 1e-14)
             total, wide = np.array(found.steep), found.spread
-            off = _most_left(part.weights) * wide
-            for lock, jets in zip(self.locks, part.weights, strict=True):
-                apart = lock.displacement(part.centres) - found.values
-                turned = lock.linear - found.steep
+            off = part.most_left() * wide
+            for lock, weight in zip(self.locks, part.weights, strict=True):
+                some, jets = weight.places, weight.jets
+                here, steep, unsure = part.centres[some], found.steep[some], found.rounding[some]
+                apart = lock.displacement(here) - found.values[some]
+                turned = lock.linear - steep
                 size = np.linalg.norm(turned, axis=(1, 2)) * (1.0 + 1e-13)
-                total += jets.value[:, None, None] * turned + apart[:, :, None] * jets.slope[:, None, :]
-                length = np.linalg.norm(apart, axis=1) + found.rounding
-                varied = np.minimum(jets.varied(), jets.steep * reach + 1e-14)
-                turned_by = jets.sheared(apart, found.rounding) if strain else length * jets.off
-                off += varied * size + _times((size + wide) * reach, jets.steep) + turned_by
-                scale = np.abs(part.centres).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
-                off += _times(found.rounding + ROUNDING * scale, jets.steep)
-                off += ROUNDING * (size + length * jets.steep)
+                total[some] += jets.value[:, None, None] * turned + apart[:, :, None] * jets.slope[:, None, :]
+                length = np.linalg.norm(apart, axis=1) + unsure
+                varied = np.minimum(jets.varied(), jets.steep * reach[some] + 1e-14)
+                turned_by = jets.sheared(apart, unsure) if strain else length * jets.off
+                more = varied * size + _times((size + wide[some]) * reach[some], jets.steep) + turned_by
+                scale = np.abs(here).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
+                more += _times(unsure + ROUNDING * scale, jets.steep)
+                off[some] += more + ROUNDING * (size + length * jets.steep)
             off = off * (1.0 + 1e-12) + ROUNDING * np.abs(total).sum(axis=(1, 2))
             gradients[touched], radii[touched] = total, np.where(np.isnan(off), np.inf, off)
         gradients[np.isinf(bare.spread)] = np.nan  # the base field has no derivative there that a proof knows
@@ -485,18 +500,19 @@ class LockedField:
         assert isinstance(base, BoundedBase)
         here, half = np.ascontiguousarray(boxes.centres), np.ascontiguousarray(boxes.half_widths)
         own, _ = base.strain_bounds(here, half, enough=enough)
-        shares = _least_left(boxes.weights), _most_left(boxes.weights)
+        shares = boxes.least_left(), boxes.most_left()
         products = np.stack([share * side for share in shares for side in own.T])
         low, high = products.min(axis=0), products.max(axis=0)
         reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-14)
-        for lock, jets in zip(self.locks, boxes.weights, strict=True):
-            apart = lock.displacement(here) - bare.values
-            size = np.linalg.norm(lock.linear - bare.steep, axis=(1, 2)) + bare.spread
-            length = np.linalg.norm(apart, axis=1) + bare.rounding + size * reach
+        for lock, weight in zip(self.locks, boxes.weights, strict=True):
+            some, jets = weight.places, weight.jets
+            apart = lock.displacement(here[some]) - bare.values[some]
+            size = np.linalg.norm(lock.linear - bare.steep[some], axis=(1, 2)) + bare.spread[some]
+            length = np.linalg.norm(apart, axis=1) + bare.rounding[some] + size * reach[some]
             more = _times(length, jets.steep)
             least, most = _symmetric_range(lock.linear)
-            low += np.minimum(least, 0.0) * jets.high - more
-            high += np.maximum(most, 0.0) * jets.high + more
+            low[some] += np.minimum(least, 0.0) * jets.high - more
+            high[some] += np.maximum(most, 0.0) * jets.high + more
         slack = 1e-12 * (1.0 + np.abs(low) + np.abs(high))
         found = np.stack([low - slack, high + slack], axis=1)
         return np.where(np.isnan(found), np.array([-np.inf, np.inf]), found)
@@ -541,12 +557,25 @@ class _Bare:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Weight:
+    """A lock's weight over the boxes where it may have one, given by their numbers (P,)."""
+
+    places: Int
+    jets: Jets
+
+    def only(self, numbers: Int) -> _Weight:
+        """Over boxes that are numbered anew, by (B,); those with -1 are left out."""
+        kept = np.flatnonzero(numbers[self.places] >= 0)
+        return _Weight(numbers[self.places[kept]], self.jets.only(kept))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class _Boxes:
     """Boxes with the weights of every lock over them; bare ones see none, ``own`` (B,) is the lock that is whole."""
 
     centres: Points
     half_widths: Float
-    weights: tuple[Jets, ...]
+    weights: tuple[_Weight, ...]
     bare: Bool
     own: Int
 
@@ -557,26 +586,44 @@ class _Boxes:
         return found
 
     def only(self, kept: NDArray[np.int64]) -> _Boxes:
-        weights = tuple(jets.only(kept) for jets in self.weights)
+        numbers = np.full(len(self.centres), -1)
+        numbers[kept] = np.arange(len(kept))
+        weights = tuple(weight.only(numbers) for weight in self.weights)
         return _Boxes(self.centres[kept], self.half_widths[kept], weights, self.bare[kept], self.own[kept])
+
+    def least_left(self) -> Float:
+        """The least that weights of which one at most is not 0 leave of 1."""
+        most = np.zeros(len(self.centres))
+        for weight in self.weights:
+            most[weight.places] = np.maximum(most[weight.places], weight.jets.high)
+        left: Float = 1.0 - most - 1e-14
+        return left
+
+    def most_left(self) -> Float:
+        """The most that they leave."""
+        least = np.zeros(len(self.centres))
+        for weight in self.weights:
+            least[weight.places] = np.maximum(least[weight.places], weight.jets.low)
+        left: Float = 1.0 - least + 1e-14
+        return left
+
+
+def _some_at_once(
+    bounds: Callable[[Points, Float], tuple[Float, Float]], centres: Points, half_widths: Float
+) -> tuple[Float, Float]:
+    """What bounds (B, ...) and (B, ...) of boxes are, found for ``AT_ONCE`` of them at a time."""
+    half_widths = np.broadcast_to(half_widths, centres.shape)
+    if len(centres) <= AT_ONCE:
+        return bounds(centres, half_widths)
+    starts = range(0, len(centres), AT_ONCE)
+    parts = [bounds(centres[k : k + AT_ONCE], half_widths[k : k + AT_ONCE]) for k in starts]
+    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
 def _outside(ranges: Float, enough: tuple[float, float]) -> Bool:
     """(B,) where ranges reach beyond what is enough."""
     found: Bool = ~((ranges[:, 0] >= enough[0]) & (ranges[:, 1] <= enough[1]))
     return found
-
-
-def _least_left(weights: Sequence[Jets]) -> Float:
-    """The least that weights of which one at most is not 0 leave of 1."""
-    most = np.max([jets.high for jets in weights], axis=0)
-    return np.asarray(1.0 - most - 1e-14, dtype=np.float64)
-
-
-def _most_left(weights: Sequence[Jets]) -> Float:
-    """The most that they leave."""
-    least = np.max([jets.low for jets in weights], axis=0)
-    return np.asarray(1.0 - least + 1e-14, dtype=np.float64)
 
 
 def _risen(jet: tuple[Float, Points], over: float) -> tuple[Float, Points]:

@@ -138,7 +138,7 @@ class Jets:
         steep = self.high * other.steep + other.high * self.steep
         slope = self.value[:, None] * other.slope + other.value[:, None] * self.slope
         turns, loose = [], np.zeros_like(self.value)
-        for one, two in ((self, other), (other, self)):
+        for one, two in ((other, self), (self, other)):
             loose = loose + one.high * two.loose
             turns += [Turn(turn.along, one.high * turn.most * SLACK) for turn in two.turns]
             length = np.linalg.norm(two.slope, axis=1)
@@ -161,13 +161,19 @@ class Jets:
         )
 
     def put(self, places: Int, others: Jets) -> Jets:
-        """With those of some boxes in place of its own; both without turns."""
+        """With those of some boxes in place of its own; they have at least as many turns."""
 
         def joined(own: Float, theirs: Float) -> Float:
             whole = own.copy()
             whole[places] = theirs
             return whole
 
+        none = Turn(np.zeros_like(self.slope), np.zeros_like(self.value))
+        own = (*self.turns, *(none for _ in others.turns[len(self.turns) :]))
+        turns = tuple(
+            Turn(joined(here.along, there.along), joined(here.most, there.most))
+            for here, there in zip(own, others.turns, strict=True)
+        )
         return Jets(
             joined(self.value, others.value),
             joined(self.slope, others.slope),
@@ -175,25 +181,24 @@ class Jets:
             joined(self.high, others.high),
             joined(self.steep, others.steep),
             joined(self.loose, others.loose),
+            turns,
         )
 
-    def among(self, places: Int, count: int) -> Jets:
-        """As those of some of ``count`` boxes, and nothing at all over the others."""
+    def times_some(self, places: Int, other: Jets) -> Jets:
+        """The product with one that is 1 but over some boxes, those that are given; neither is negative."""
+        return self.put(places, self.only(places).times(other))
 
-        def spread(array: Float) -> Float:
-            whole = np.zeros((count, *array.shape[1:]))
-            whole[places] = array
-            return whole
-
-        return Jets(
-            spread(self.value),
-            spread(self.slope),
-            spread(self.low),
-            spread(self.high),
-            spread(self.steep),
-            spread(self.loose),
-            tuple(Turn(spread(turn.along), spread(turn.most)) for turn in self.turns),
-        )
+    def with_few_turns(self, count: int) -> Jets:
+        """With at most so many turns of each box, the largest; the others count in any direction."""
+        if len(self.turns) <= count:
+            return self
+        most = np.array([turn.most for turn in self.turns])
+        order = np.argpartition(-most, count - 1, axis=0)
+        boxes = np.arange(len(self.value))
+        along = np.array([turn.along for turn in self.turns])
+        kept = tuple(Turn(along[row, boxes], most[row, boxes]) for row in order[:count])
+        rest = np.take_along_axis(most, order[count:], axis=0).sum(axis=0)
+        return replace(self, loose=(self.loose + rest) * SLACK, turns=kept)
 
 
 def _where(some: Bool, a: Float, b: Float, *, otherwise: float = 0.0) -> Float:

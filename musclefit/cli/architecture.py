@@ -39,40 +39,41 @@ def architecture(
         Path | None,
         Parameter(
             name="--attachments",
-            help="CSV of ends that are known: muscle, end (origin or insertion), bone; optionally within_mm, vertices, "
+            help="CSV of known attachments: muscle, end (origin or insertion), bone; optionally within_mm, vertices, "
             "sheet.",
         ),
     ] = None,
     within_mm: Annotated[
         float | None,
-        Parameter(name="--within-mm", help="Largest distance of an attachment from its bone; chosen if not given."),
+        Parameter(
+            name="--within-mm",
+            help="Largest distance of an attachment from its bone. Without it: chosen from the anatomy.",
+        ),
     ] = None,
     fibres: Annotated[
         Path | None,
         Parameter(
             name="--fibres",
-            help="File of known fibres, or folder of such: streamlines (.tck, .trk, .vtk, .vtp) or directions (.vtk, "
-            ".vtp, .vtu). They take the place of the flow in muscles that they lie in.",
+            help="A file of known fibres, or a folder of such files: streamlines (.tck, .trk, .vtk, .vtp) or directions "
+            "(.vtk, .vtp, .vtu). They replace the computed directions in the muscles that contain them.",
         ),
     ] = None,
     fibre_frame: Annotated[
         Frame | None,
-        Parameter(
-            name="--fibre-frame", help="Frame of VTK's files of fibres: ras or lps; that of the anatomy without it."
-        ),
+        Parameter(name="--fibre-frame", help="Frame of fibres in VTK files. Without it: the anatomy's."),
     ] = None,
     fibre_units: Annotated[
         Literal["mm", "cm", "m"] | None,
-        Parameter(name="--fibre-units", help="Unit of VTK's files of fibres: mm, cm or m; mm without it."),
+        Parameter(name="--fibre-units", help="Unit of fibres in VTK files. Without it: mm."),
     ] = None,
     fibre_array: Annotated[
-        str, Parameter(name="--fibre-array", help="The array of vectors to take, where a file has several.")
+        str, Parameter(name="--fibre-array", help="The array of vectors to read, where a file has several.")
     ] = "",
     fibre_reach_mm: Annotated[
         float | None,
         Parameter(
             name="--fibre-reach-mm",
-            help="How far from a known place its direction holds; a quarter of the muscle's thickness without it.",
+            help="How far from a known place its direction holds. Without it: a quarter of the muscle's thickness.",
         ),
     ] = None,
     muscles: Annotated[

@@ -23,14 +23,14 @@ def batch(
         Path | None,
         Parameter(
             name=["--out", "-o"],
-            help="Folder for the results; what is done there is kept. Without it: musclefit-out/ and the study's name.",
+            help="Folder for the results; cases finished there are kept. Without it: musclefit-out/ and the study's name.",
         ),
     ] = None,
     workers: Annotated[
         int,
         Parameter(
             name="--workers",
-            help="Processes, one thread each; fewer where memory allows no more. Without it: as many as processors.",
+            help="Processes, one thread each; fewer where memory does not suffice. Without it: one per processor.",
         ),
     ] = 0,
     scheduler: Annotated[

@@ -186,7 +186,7 @@ def check(
         tuple[str, ...],
         Parameter(
             name="--fail-on",
-            help="Findings that fail the check (exit code 1) too, separated by commas, such as "
+            help="Findings that also fail the check (exit code 1), separated by commas, such as "
             "self-crossing,non-manifold,pieces; overlaps, open surfaces and surfaces without an inside always fail it.",
         ),
     ] = (),

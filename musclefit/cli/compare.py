@@ -24,7 +24,10 @@ WIDTH = 160
 
 def compare(
     runs: Annotated[
-        list[Path], Parameter(help="Folders that musclefit run wrote, or sequence; the first is what they are held to.")
+        list[Path],
+        Parameter(
+            help="Folders written by musclefit run or musclefit sequence; the others are compared with the first."
+        ),
     ],
     /,
     *,

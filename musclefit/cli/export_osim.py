@@ -28,10 +28,10 @@ def export_osim(
         Path | None,
         Parameter(
             name="--motion",
-            help=".mot, .sto, .trc or .c3d of the model, over which lengths, moment arms and paths in bone are told.",
+            help=".mot, .sto, .trc or .c3d of the model, over which lengths, moment arms and paths in bone are compared.",
         ),
     ] = None,
-    frames: Annotated[int, Parameter(name="--frames", help="Most times of the motion that are looked at.")] = 20,
+    frames: Annotated[int, Parameter(name="--frames", help="Largest number of the motion's times to examine.")] = 20,
     geometry: Annotated[
         tuple[Path, ...],
         Parameter(name="--geometry", help="A further folder to search for meshes. May be repeated."),

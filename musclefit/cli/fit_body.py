@@ -54,13 +54,15 @@ def fit_body(
         Path | None,
         Parameter(
             name="--template-landmarks",
-            help="Landmarks on the template: by their names measures are taken, or they are matched with",
+            help="Landmarks on the template: matched by name with those on the scan, or named by the measures.",
         ),
     ] = None,
-    scan_landmarks: Annotated[Path | None, Parameter(name="--scan-landmarks", help="landmarks on the scan.")] = None,
+    scan_landmarks: Annotated[
+        Path | None, Parameter(name="--scan-landmarks", help="Landmarks on the scan, matched by name.")
+    ] = None,
     up: Annotated[
         Literal["x", "y", "z", "-x", "-y", "-z"],
-        Parameter(name="--up", help="The way from feet to head, for measures.", show_default=True),
+        Parameter(name="--up", help="The axis from feet to head, for measures.", show_default=True),
     ] = "z",
     frame: Annotated[str, Parameter(name="--frame", help="The template's frame, for the rig.")] = "",
     median_mm: Annotated[

@@ -17,7 +17,7 @@ def fit_joint(
     moving: Annotated[Path, Parameter(help="Surface of the bone that the joint moves.")],
     /,
     *others: Annotated[
-        Path, Parameter(help="Further bones that move with it, where they face the first too: the lunate.")
+        Path, Parameter(help="Further bones that move with it and face the first too, such as the lunate.")
     ],
     kind: Annotated[
         Literal["hinge", "universal", "saddle", "ball", "named"],

@@ -23,18 +23,21 @@ def import_osim(
     ] = None,
     markers_up: Annotated[
         Literal["x", "y", "z"] | None,
-        Parameter(name="--markers-up", help="The axis of the markers' file that points up; y where a .trc is silent."),
+        Parameter(
+            name="--markers-up",
+            help="The axis of the markers' file that points up. Without it: y for a .trc; a .c3d must state it.",
+        ),
     ] = None,
     markers_shift_mm: Annotated[
         tuple[float, float, float] | None,
-        Parameter(name="--markers-shift-mm", help="Added to the markers then: x, y and z, mm."),
+        Parameter(name="--markers-shift-mm", help="Shift added to the markers after that: x, y and z, mm."),
     ] = None,
     geometry: Annotated[
         tuple[Path, ...],
         Parameter(name="--geometry", help="A further folder to search for meshes. May be repeated."),
     ] = (),
     skip_missing: Annotated[
-        bool, Parameter(name="--skip-missing", negative="", help="Go on without meshes that are nowhere.")
+        bool, Parameter(name="--skip-missing", negative="", help="Go on without meshes that are not found.")
     ] = False,
     quiet: QuietOption = False,
     json: JsonOption = False,
@@ -60,7 +63,7 @@ def import_osim(
         for note in made.notes:
             print(f"  {note}")
         if made.missing:
-            print(f"  without {len(made.missing)} meshes that are nowhere: {', '.join(made.missing)}")
+            print(f"  without {len(made.missing)} meshes that were not found: {', '.join(made.missing)}")
         if made.open:
             print(
                 f"  {len(made.open)} meshes are not closed; they are in open/, outside the rig. Repair them with "

@@ -12,7 +12,7 @@ from musclefit.workflows.progress import TimedStages
 
 
 def render(
-    run: Annotated[Path, Parameter(help="The folder that musclefit run wrote, or sequence.")],
+    run: Annotated[Path, Parameter(help="The folder that musclefit run or musclefit sequence wrote.")],
     out: Annotated[Path, Parameter(help="New folder for the pictures and pictures.json, which has their captions.")],
     /,
     *,
@@ -31,10 +31,10 @@ def render(
         Literal["tissue", "displacement"], Parameter(name="--colour", help="What the colours show.", show_default=True)
     ] = "tissue",
     width_mm: Annotated[
-        float, Parameter(name="--width-mm", help="Size of a printed picture.", show_default=True)
+        float, Parameter(name="--width-mm", help="Width of a printed picture.", show_default=True)
     ] = 90.0,
     height_mm: Annotated[
-        float, Parameter(name="--height-mm", help="Size of a printed picture.", show_default=True)
+        float, Parameter(name="--height-mm", help="Height of a printed picture.", show_default=True)
     ] = 120.0,
     dpi: Annotated[
         float, Parameter(name="--dpi", help="Pixels per inch of a printed picture.", show_default=True)
@@ -43,14 +43,14 @@ def render(
         float, Parameter(name="--skin-opacity", help="From 0, which leaves the skin out, to 1.", show_default=True)
     ] = 0.2,
     transparent: Annotated[
-        bool, Parameter(name="--transparent", negative="", help="No background, in place of a white one.")
+        bool, Parameter(name="--transparent", negative="", help="A transparent background instead of a white one.")
     ] = False,
     no_scale_bar: Annotated[bool, Parameter(name="--no-scale-bar", negative="", help="Omit the scale bar.")] = False,
     turntable: Annotated[
         int,
         Parameter(
             name="--turntable",
-            help="Pictures of a film all round, such as 120: an MP4 (extra motion), else a GIF. Without it: none.",
+            help="Number of pictures of a turntable film, such as 120: MP4 (extra motion) or else GIF. Without it: none.",
         ),
     ] = 0,
     film: Annotated[

@@ -98,8 +98,8 @@ def repair(
 ) -> int:
     """Repair surfaces (holes, doubled, flipped and crossing faces, stray pieces) and overlaps, and report each change.
 
-    Exit code 1 where a surface is not valid, farther from the original than the limit, changed too much in volume or
-    fell apart, or where overlaps are left; all is written then too.
+    Exit code 1 if a surface is not valid, is farther from the original than the limit, changed too much in volume or
+    fell apart, or if overlaps remain; everything is written all the same.
     """
     from musclefit.cli.kinds import parse_kinds
     from musclefit.report.repairs import repair_json

@@ -27,8 +27,8 @@ def sequence(
     motion: Annotated[
         Path | None,
         Parameter(
-            help="CSV of joints' keyframes: time_s, <coordinate>_deg, ...; where an OpenSim model drives, its "
-            ".mot or .sto, or markers in a .trc or .c3d. Without it: drive.motion of the rig."
+            help="CSV of joints' keyframes: time_s and one column per coordinate, such as elbow_deg. Where an OpenSim "
+            "model drives: its .mot or .sto, or markers in a .trc or .c3d. Without it: drive.motion of the rig."
         ),
     ] = None,
     /,
@@ -54,7 +54,7 @@ def sequence(
         ),
     ] = None,
     workers: Annotated[
-        int, Parameter(name="--workers", help="Processes; one thread each. Without it: as many as processors.")
+        int, Parameter(name="--workers", help="Processes, one thread each. Without it: one per processor.")
     ] = 0,
     set: SetOption = (),  # noqa: A002 (the option's name)
     no_between: Annotated[

@@ -36,3 +36,4 @@ def test_what_help_names_exists(command: str, help_of) -> None:
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options | {"--help", "--version"}
     assert set(re.findall(r"\bmusclefit ([a-z][a-z-]+)\b", text)) <= set(COMMANDS)
     assert re.findall(HOUSE_WORDS, text) == []
+    assert re.findall(r"[ ,]_[a-z]+", text) == [], "what stands in angle brackets is taken for markup"

@@ -54,8 +54,8 @@ def architecture(
         Path | None,
         Parameter(
             name="--fibres",
-            help="A file of known fibres, or a folder of such files: streamlines (.tck, .trk, .vtk, .vtp) or directions "
-            "(.vtk, .vtp, .vtu). They replace the computed directions in the muscles that contain them.",
+            help="A file of known fibres, or a folder of such files: streamlines (.tck, .trk, .vtk, .vtp) or "
+            "directions (.vtk, .vtp, .vtu). They replace the computed directions in the muscles that contain them.",
         ),
     ] = None,
     fibre_frame: Annotated[

@@ -23,7 +23,7 @@ def batch(
         Path | None,
         Parameter(
             name=["--out", "-o"],
-            help="Folder for the results; cases finished there are kept. Without it: musclefit-out/ and the study's name.",
+            help="Folder for the results; finished cases are kept. Without it: musclefit-out/ and the study's name.",
         ),
     ] = None,
     workers: Annotated[

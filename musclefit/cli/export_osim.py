@@ -28,7 +28,7 @@ def export_osim(
         Path | None,
         Parameter(
             name="--motion",
-            help=".mot, .sto, .trc or .c3d of the model, over which lengths, moment arms and paths in bone are compared.",
+            help=".mot, .sto, .trc or .c3d of the model, to compare lengths, moment arms and paths in bone over.",
         ),
     ] = None,
     frames: Annotated[int, Parameter(name="--frames", help="Largest number of the motion's times to examine.")] = 20,

@@ -50,7 +50,7 @@ def render(
         int,
         Parameter(
             name="--turntable",
-            help="Number of pictures of a turntable film, such as 120: MP4 (extra motion) or else GIF. Without it: none.",
+            help="Pictures of a turntable film, such as 120: MP4 (extra motion) or else GIF. Without it: no film.",
         ),
     ] = 0,
     film: Annotated[

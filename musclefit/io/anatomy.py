@@ -148,6 +148,11 @@ def read_anatomy(
     leave_out : bool
         Whether surfaces that cannot be used are left out and named in ``unusable``, as long as one can be used.
 
+    Returns
+    -------
+    ReadAnatomy
+        The tissues in mm, what was found in their files, and the SHA-256 of each file.
+
     Raises
     ------
     InputError

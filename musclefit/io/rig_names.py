@@ -41,6 +41,14 @@ def rigs_folder() -> Path:
 def find_rig(name_or_path: str | Path) -> Path:
     """The rig file that a user means: a path (with a folder or the suffix .toml), or the name of a built-in rig.
 
+    Parameters
+    ----------
+    name_or_path : str or path
+
+    Returns
+    -------
+    Path
+
     Raises
     ------
     RigError

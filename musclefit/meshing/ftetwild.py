@@ -95,6 +95,11 @@ def tetrahedralise(
         Over the mesh, at least 1.
     progress : Progress
 
+    Returns
+    -------
+    TetAnatomy
+        Right-handed tetrahedra in mm, each with its tissue.
+
     Raises
     ------
     InputError

@@ -217,7 +217,7 @@ def architecture(
     curves: bool = False,
     progress: Progress | None = None,
 ) -> Architecture:
-    """Find where muscles hold on to bone and how their fibres run, and carry both by the rig's map.
+    """Find where muscles attach to bone and how their fibres run, and map both by the rig's deformation.
 
     Parameters
     ----------
@@ -228,17 +228,17 @@ def architecture(
     overrides : sequence of str
         ``key=value`` each; not with a finished run.
     attachments : path, optional
-        CSV of ends that are known (`io.formats.attachments`); all others are found by distance.
+        CSV of known attachments (`io.formats.attachments`); all others are found by distance.
     within_mm : float, optional
-        How close a muscle is to the bone it holds on to; chosen from clearances and thicknesses without it.
+        Largest distance of an attachment from its bone; without it, chosen from clearances and thicknesses.
     fibres : path or FibreFiles, optional
-        Streamlines or directions that are known (`io.given_fibres`), in place of the flow in muscles that they lie in.
+        Known streamlines or directions (`io.given_fibres`); they replace the flow in the muscles that contain them.
     muscles : sequence of str
-        Names or shell-style patterns of the muscles to look at; all without any.
+        Names or shell-style patterns of the muscles to analyse; empty for all.
     deform : bool
-        Whether to deform at all, or to stay at rest.
+        Whether to deform the anatomy, or to analyse it at rest only.
     curves : bool
-        Whether to measure the fibres after each stretch of the way, and their moment arms by the joint that turns.
+        Whether to measure fibres after each substep too, and their moment arms about the joint that turns.
     progress : Progress, optional
 
     Returns

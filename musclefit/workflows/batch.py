@@ -47,7 +47,7 @@ def batch(
     parquet: bool = False,
     progress: Progress | None = None,
 ) -> Cohort:
-    """Run a study: each case in a folder of its own; done ones are kept, changed ones made again, failures told.
+    """Run a study: each case in a folder of its own; finished ones are kept, changed ones rerun, failures reported.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def check(
     smallest_gap_mm: float = 0.0,
     progress: Progress | None = None,
 ) -> Checked:
-    """Report the overlaps and mesh faults of a layered anatomy as it is.
+    """Report the overlaps and mesh faults of a layered anatomy as it stands.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def check(
     units : {"mm", "cm", "m"}
         Of the files.
     kinds : mapping of name or pattern to {"skin", "muscle", "bone", "other"}
-        What tissues are, ahead of what their file names say.
+        Kinds of tissues, overriding what their file names say.
     fail_on : sequence of str
         Findings that fail the check, in addition to overlaps and surfaces without an inside: any of ``FAULTS``.
     thinnest_mm : float

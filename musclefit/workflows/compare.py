@@ -64,7 +64,7 @@ class Comparison(Shown):
 
 
 def compare(runs: Sequence[str | Path], *, out: str | Path | None = None) -> Comparison:
-    """Put finished runs side by side: what was set otherwise, what came out otherwise, and which is better.
+    """Compare finished runs: the settings and results that differ, and which run is better.
 
     Sequences are compared with sequences: by their worst frames, and frame by frame at the same times.
 

@@ -99,12 +99,12 @@ def export_osim(
     geometry: Sequence[str | Path] = (),
     progress: Progress | None = None,
 ) -> ExportedModel:
-    """Carry an OpenSim model by a rig's deformation; what does not move in its file stays byte for byte.
+    """Deform an OpenSim model by a rig; whatever does not move stays byte for byte as in the file.
 
     In the default pose every path point, marker, mass centre and mesh vertex is where the map takes it. Frames of
     bodies and joints go where the map takes their origins and keep their orientation; wraps are fitted anew; fibre and
     tendon slack lengths keep their ratio to the muscle's straight path. Over a motion OpenSim's own library (extra
-    ``opensim``) then tells length and moment arms of each muscle before and after, and how much of its path is in bone.
+    ``opensim``) then gives each muscle's length and moment arms before and after, and how much of its path is in bone.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def export_osim(
     motion : path, optional
         .mot, .sto, .trc or .c3d of the model; without it muscles are not measured.
     frames : int
-        At most so many of the motion's own times, evenly spread, the first and the last included.
+        At most this many of the motion's own times, evenly spread, the first and the last included.
     geometry : sequence of path
         Further folders to look for meshes in.
     progress : Progress, optional

@@ -124,7 +124,7 @@ def febio_model(
         The .feb file; replaced.
     sliding : bool
         Whether to leave the filler out, so that tissues have nodes of their own and slide where they face each other;
-        otherwise neighbours share nodes. Muscles are tied to the bones that they hold on to either way.
+        otherwise neighbours share nodes. Muscles are tied to the bones that they attach to either way.
     facing_mm : float, optional
         How far apart tissues may be that face each other; the mean edge of their triangles without it. Only with
         ``sliding``.

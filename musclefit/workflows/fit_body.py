@@ -120,7 +120,7 @@ def fit_body(
     template : path
         The template's skin, closed: PLY, STL, OBJ, VTP.
     scan : path
-        A surface near it in pose, anywhere in space; it may have holes and parts that are no skin.
+        A surface in a similar pose, anywhere in space; it may have holes and parts that are not skin.
     out : path, optional
         New or empty folder for the cage and its targets, the rig that they drive, both surfaces with their distances,
         and the report.

@@ -122,7 +122,7 @@ def import_osim(
     geometry : sequence of path
         Further folders to look for meshes in, after the model's own and its Geometry.
     skip_missing : bool
-        Whether to go on without meshes that are nowhere.
+        Whether to go on without meshes that are not found.
     progress : Progress, optional
 
     Returns

@@ -35,7 +35,7 @@ class JointRanges(Shown):
 
 
 def joint_range(rig: RigGiven, *, overrides: Sequence[str] = (), progress: Progress | None = None) -> JointRanges:
-    """Say how far each joint can turn before bones collide, both ways from rest, the others at rest.
+    """Find how far each joint can turn either way before bones collide, with the other joints at rest.
 
     Parameters
     ----------

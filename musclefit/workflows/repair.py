@@ -75,7 +75,7 @@ def repair(
     write: bool = True,
     progress: Progress | None = None,
 ) -> Repair:
-    """Close holes, take out doubled, flipped and crossing faces, strays and, if asked for, overlaps.
+    """Close holes, remove doubled, flipped and crossing faces, stray pieces, unused vertices and, if asked, overlaps.
 
     Parameters
     ----------
@@ -84,18 +84,18 @@ def repair(
     out : path, optional
         Folder for the repaired surfaces and report.json; or, for one file, a .ply. Without it nothing is written.
     resolve : {"none", "priority", "split"}
-        How to take away what tissues share.
+        How to remove overlaps between tissues.
     rule : {"least-loss", "smaller", "any-kind"}
-        Who loses what two tissues of one kind share.
+        Which of two tissues of one kind gives up their overlap.
     clearance_mm, max_change_percent, limit_mm, thicken_mm, stray_percent : float
         See `RepairSettings`.
     local_only : bool
-        Never make a whole surface anew where local repair fails.
+        Whether never to rebuild a whole surface where local repair fails.
     units : {"mm", "cm", "m"}
-        Of the files; written is mm.
+        Of the files; output is in mm.
     kinds : mapping of name or pattern to kind
     write : bool
-        Whether to write it; without, the target is checked and all of the work is done.
+        Whether to write the result; otherwise the target is checked and the repair is done all the same.
     progress : Progress, optional
 
     Returns

@@ -161,11 +161,11 @@ def run(
     overrides : sequence of str
         ``key=value`` each, such as ``"drive.pose.elbow_deg=60"``.
     points : sequence of path
-        Files of points to take along.
+        Files of attached points to deform too.
     tets : bool, optional
         Whether to make tetrahedra, whatever the rig says.
     intermediate : bool
-        Whether to write the surfaces after each step of the way too.
+        Whether to write the surfaces after each step too.
     pictures : bool
         Whether to draw what is written.
     progress : Progress, optional
@@ -220,6 +220,15 @@ def prepared_tets(job: Job, *, progress: Progress | None = None) -> TetAnatomy |
 
     Joint space between bones that the job holds rigid and slides past each other is left out.
 
+    Parameters
+    ----------
+    job : Job
+    progress : Progress, optional
+
+    Returns
+    -------
+    TetAnatomy or None
+
     Raises
     ------
     InputError, MeshError
@@ -264,9 +273,9 @@ def save(
     folder : path
         Made, or a former run of ours to replace.
     seconds : mapping of stage to seconds, optional
-        As measured by who ran it; read when the pictures are done.
+        As measured by the caller; read when the pictures are done.
     intermediate : bool
-        Whether to write the surfaces after each stretch of the way too, to ``intermediate/01``, ...
+        Whether to write the surfaces after each step too, to ``intermediate/01``, ...
     pictures : bool
         Whether to draw it, which takes seconds.
 

@@ -49,6 +49,10 @@ def read_frames(job: Job, folder: str | Path) -> Iterator[FrameOnDisk]:
         The rig that made it.
     folder : path
 
+    Returns
+    -------
+    iterator of FrameOnDisk
+
     Raises
     ------
     InputError

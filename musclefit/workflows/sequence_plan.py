@@ -71,6 +71,21 @@ def planned(
 ) -> SequencePlan:
     """The sequence that a rig describes, with another motion, other frames or another interpolation where given.
 
+    Parameters
+    ----------
+    job : Job
+        Driven by joints, transforms or an OpenSim model.
+    motion : path, optional
+        CSV of joints' keyframes; without it ``drive.motion`` of the rig.
+    frames : int
+        How many, evenly spaced in time; 0 for ``drive.frames`` of the rig.
+    interpolation : Interpolation, optional
+        Between keyframes; without it ``drive.interpolation`` of the rig.
+
+    Returns
+    -------
+    SequencePlan
+
     Raises
     ------
     InputError

@@ -35,7 +35,7 @@ def warp_image(
     overrides: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> WarpedImage:
-    """Take an image of the body along with a rig's deformation, through its exact inverse.
+    """Warp an image of the body by a rig's deformation, resampled through its exact inverse.
 
     Parameters
     ----------

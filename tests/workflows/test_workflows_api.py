@@ -8,6 +8,7 @@ import re
 import runpy
 import subprocess
 import sys
+from inspect import isfunction, signature
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,18 @@ def test_every_command_is_a_documented_function(name: str) -> None:
     assert made.__name__ == name
     sections = re.findall(r"^ *(\w+)\n *-+$", made.__doc__, re.MULTILINE)
     assert sections == ["Parameters", "Returns", "Raises"]
+
+
+def test_every_public_function_says_what_it_takes_and_gives() -> None:
+    functions = [made for name in mf.__all__ if isfunction(made := getattr(mf, name))]
+    assert len(functions) > len(COMMANDS)
+    for made in functions:
+        sections = re.findall(r"^ *(\w+)\n *-+$", made.__doc__ or "", re.MULTILINE)
+        gives = ["Returns"] if signature(made).return_annotation != "None" else []
+        assert [name for name in sections if name != "Raises"] == ["Parameters", *gives], made
+        said = made.__doc__.partition("Parameters\n")[2].partition("Returns\n")[0]
+        named = {name for line in re.findall(r"^    ([\w, ]+) : ", said, re.MULTILINE) for name in line.split(", ")}
+        assert set(signature(made).parameters) - {"progress"} <= named | {"rules", "kinds"}, made
 
 
 def test_importing_musclefit_imports_no_library() -> None:

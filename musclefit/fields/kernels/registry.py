@@ -17,6 +17,11 @@ KERNELS: Mapping[str, RadialKernel] = MappingProxyType(_known)
 def register(kernel: RadialKernel) -> None:
     """Make a kernel known by its name, for rigs and for Python.
 
+    Parameters
+    ----------
+    kernel : RadialKernel
+        With its formula and derivatives and, for proofs, its enclosure.
+
     Raises
     ------
     FieldError

@@ -111,6 +111,11 @@ def read_landmarks(
     source_prefix, target_prefix : str
         What the headings of positions and of targets start with; ``child_`` and ``adult_`` read ``child_x_mm`` ..
 
+    Returns
+    -------
+    LandmarkTable
+        In mm.
+
     Raises
     ------
     InputError

@@ -27,6 +27,10 @@ def read_motion(path: str | Path) -> Motion:
         A line of headings, then one keyframe per line: ``time_s`` in seconds, rising; ``<coordinate>_deg`` in degrees
         for each coordinate of the joints that moves; ``phase`` and ``remark`` are words for the reader.
 
+    Returns
+    -------
+    Motion
+
     Raises
     ------
     InputError

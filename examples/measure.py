@@ -105,6 +105,7 @@ SCRIPTS = {
     "jump": Script("The leg through its jump, method by method", ("examples/fig9_jump.py",)),
     "bodies": Script("A whole body on two heavier ones, method by method", ("examples/fig7_bodies.py",)),
     "joints": Script("Joints fitted to two bones of known joints", ("tests/joint_campaign.py", "--fits", "20")),
+    "control_points": Script("234,777 control points in one run", ("examples/control_points.py",)),
     "bar": Script("A bar against libigl's SLIM", _benchmark("bar")),
     "body": Script("One body with every check, against one SciPy warp", _benchmark("bodies")),
     "radial": Script("Radial sums against peers", _benchmark("radial")),

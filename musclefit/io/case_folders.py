@@ -64,13 +64,15 @@ class CaseOutcome:
 class CaseCost:
     """What a case took: CPU and wall seconds, and the peak memory of its process so far, MB; and its sizes.
 
-    None where the process ended without a word.
+    None where the process ended without a word. ``cases_before`` were made by its process before: the first takes what
+    it takes to start, too.
     """
 
     cpu_s: float | None
     wall_s: float | None
     process_peak_mb: float | None
     sizes: Mapping[str, Any] = field(default_factory=dict)
+    cases_before: int = 0
 
 
 def case_folder(out: Path, name: str) -> Path:

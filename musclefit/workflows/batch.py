@@ -8,8 +8,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from musclefit.errors import InputError, MusclefitError
 from musclefit.io.case_folders import (
     PASSED,
@@ -28,7 +26,7 @@ from musclefit.progress import Progress
 from musclefit.workflows.batch_slurm import write_slurm
 from musclefit.workflows.batch_tasks import ATTEMPTS, died, make, make_case, prepare, sizes_of
 from musclefit.workflows.collect import Cohort, collect, require_pyarrow, require_study_folder, write_study_json
-from musclefit.workflows.cost import CostModel, Forecast, Sizes, available_mb, workers_that_fit
+from musclefit.workflows.cost import CostModel, Forecast, Measured, Sizes, available_mb, workers_that_fit
 from musclefit.workflows.progress import TimedStages, watched
 from musclefit.workflows.sequence_plan import planned
 from musclefit.workflows.worker_pool import Died, Pool
@@ -154,7 +152,7 @@ def slurm(study: str | Path, *, out: str | Path) -> Path:
 
 
 def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Forecast:
-    """The forecast of some cases: the model's, times how far it was off for the cases made before.
+    """The forecast of some cases: the model's, times what the cases made before took over what it tells for them.
 
     The first case of each rig and motion is read; the others are taken to have as many more or fewer vertices as their
     files have bytes. A rig and motion whose first case cannot be read is left out.
@@ -166,24 +164,30 @@ def forecast_of(study: Study, out: Path, left: list[int], *, workers: int) -> Fo
         case = study.cases[number]
         groups.setdefault((case.rig, case.motion), []).append(case)
     for pair, cases in groups.items():
-        made = [cost for case in study.cases if (case.rig, case.motion) == pair and (cost := read_cost(out, case.name))]
-        ratios = [cost.cpu_s / model.case_cpu_s(Sizes(**cost.sizes)) for cost in made if cost.cpu_s and cost.sizes]
+        made = [m for case in study.cases if (case.rig, case.motion) == pair and (m := _measured(out, case))]
         first = _sizes(study, cases)
         if first is None:
             continue
         size, first_bytes = first
         per_byte = size.vertices / max(first_bytes, 1)
         own = [replace(size, vertices=per_byte * _bytes(case) or size.vertices) for case in cases]
-        scale = float(np.median(ratios)) if ratios else 1.0
-        left_out |= dict.fromkeys([] if ratios else model.unknown(size))
-        measured += len(ratios)
-        total += scale * sum(map(model.case_cpu_s, own))
-        peak = max(peak, *map(model.case_peak_mb, own))
+        left_out |= dict.fromkeys([] if made else model.unknown(size))
+        measured += len(made)
+        total += model.scale(made) * sum(map(model.case_cpu_s, own))
+        peak = max(peak, model.peak_mb_of(own, made))
     free, wanted = available_mb(), max(1, min(workers, len(left)))
     fitting = workers_that_fit(wanted, peak_mb=peak, available_mb=free)
     total += fitting * model.start_cpu_s if total else 0.0
     limited = fitting < wanted
     return Forecast(len(left), measured, total, fitting, peak, free, limited=limited, left_out=tuple(left_out))
+
+
+def _measured(out: Path, case: Case) -> Measured | None:
+    """What a case took that was made before; None where it was not, or where that is not known."""
+    cost = read_cost(out, case.name)
+    if cost is None or not cost.cpu_s or not cost.sizes:
+        return None
+    return Measured(Sizes(**cost.sizes), cost.cpu_s, cost.process_peak_mb, first=cost.cases_before == 0)
 
 
 def _sizes(study: Study, cases: list[Case]) -> tuple[Sizes, int] | None:

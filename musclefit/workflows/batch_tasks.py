@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import shutil
@@ -48,6 +49,9 @@ WAIT_S = 0.2
 
 _here: list[tuple[Study, Path, FileHashes]] = []
 """What this process was prepared for; a worker serves one study."""
+
+_cases_made = itertools.count()
+"""Of this process."""
 
 
 def prepare(study: Study, out: Path) -> None:
@@ -117,6 +121,7 @@ def _made_unless_done(study: Study, case: Case, out: Path, hashes: FileHashes) -
         wall_s=round(time.perf_counter() - start, 3),
         process_peak_mb=round(peak_memory_mb(), 1),
         sizes=sizes,
+        cases_before=next(_cases_made),
     )
     write_case(out, outcome, cost)
     return outcome

@@ -62,11 +62,12 @@ class Sizes:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A case whose cost is known."""
+    """A case whose cost is known; the first of a process takes what that takes to start, too."""
 
     sizes: Sizes
     cpu_s: float
     peak_mb: float | None = None
+    first: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +140,25 @@ class CostModel:
         """Peak memory of a process that runs the case, MB."""
         known = [self.peak_mb[part] for part in sizes.parts if part in self.peak_mb] or list(self.peak_mb.values())
         return max(float(own[0] + own[1] * sizes.vertices / 1e3) for own in known)
+
+    def scale(self, made: Sequence[Measured]) -> float:
+        """What some cases took over what is told for them, as the ratio of the sums; 1 without cases.
+
+        Not the median of their ratios: the time of a study is a sum, in which its few hard cases count. Cases that were
+        the first of their processes count only where there are no others, and without what a process takes to start.
+        """
+        later = [case for case in made if not case.first] or made
+        told = sum(self.case_cpu_s(case.sizes) for case in later)
+        took = sum(max(case.cpu_s - self.start_cpu_s * case.first, 0.0) for case in later)
+        return took / told if took and told else 1.0
+
+    def peak_mb_of(self, cases: Sequence[Sizes], made: Sequence[Measured]) -> float:
+        """Peak memory of a process that runs some cases, MB: that of cases made before, and what larger ones add."""
+        told = max(map(self.case_peak_mb, cases))
+        seen = [case for case in made if case.peak_mb]
+        if not seen:
+            return told
+        return max(float(case.peak_mb or 0.0) + max(0.0, told - self.case_peak_mb(case.sizes)) for case in seen)
 
     def text(self) -> str:
         """The coefficients as a file holds them."""

@@ -44,6 +44,19 @@ def test_longer_examples_start(script: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
+def test_a_varied_study_is_run_beside_its_forecasts(tmp_path: Path) -> None:
+    ended = run("cost_model.py", "--hold-out", "6", "--limbs", "2", "--pilots", "1", folder=tmp_path)
+    assert ended.returncode in (0, 1), ended.stderr
+    first, second, before, after = ended.stdout.splitlines()
+    assert re.fullmatch(r"6 ellipsoids: [\d.]+ CPU s, each [\d.]+ to [\d.]+", first)
+    assert re.fullmatch(r"2 built-in limbs: [\d.]+ CPU s, each [\d.]+ to [\d.]+", second)
+    assert before.startswith("forecast before the first, for 8: ")
+    said = re.fullmatch(r"forecast after the first 1 of each, for 6: .* \(([-+]\d+) %\); .* \(([-+]\d+) %\)", after)
+    assert said is not None
+    assert (max(abs(int(off)) for off in said.groups()) <= 25) == (ended.returncode == 0)
+
+
 def test_the_retargeting_script_writes_its_report(tmp_path: Path) -> None:
     ended = run("retarget_script.py", "out", folder=tmp_path)
     assert (ended.returncode, ended.stderr) == (0, "")

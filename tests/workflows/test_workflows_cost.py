@@ -112,10 +112,27 @@ def test_what_was_measured_before_scales_what_is_left(tmp_path: Path) -> None:
     sizes = Sizes(648, 4, 12, 1, rigid=False)
     model = CostModel.shipped()
     per_case = model.case_cpu_s(sizes)
-    for case, factor in zip(read_study(study).cases[:3], (2.0, 3.0, 40.0), strict=True):
-        write_case(out, CaseOutcome.of(case, "passed"), CaseCost(factor * per_case, 1.0, 300.0, asdict(sizes)))
+    made = zip(read_study(study).cases[:3], (90.0, 2.0, 6.0), (0, 1, 2), strict=True)
+    for case, factor, before in made:  # the first of a process has started it
+        cost = CaseCost(factor * per_case, 1.0, 2000.0, asdict(sizes), before)
+        write_case(out, CaseOutcome.of(case, "passed"), cost)
     told = forecast(study, out=out)
     assert told.measured == 3
-    expected = 3.0 * (fresh.cpu_s - model.start_cpu_s) / 20 * told.cases + model.start_cpu_s
+    expected = 4.0 * (fresh.cpu_s - model.start_cpu_s) / 20 * told.cases + model.start_cpu_s
     assert told.cpu_s == pytest.approx(expected, rel=1e-9)
+    assert told.peak_mb == pytest.approx(2000.0, abs=1e-9), "as large as those made before"
     json.dumps(asdict(told), allow_nan=False)
+
+
+def test_cases_made_before_are_summed_and_the_first_of_a_process_counts_alone() -> None:
+    model = CostModel({"free bones": (1.0, 1.0, 0.0, 0.0, 0.0)}, {"free bones": (300.0, 2.0)}, {})
+    small, large = Sizes(1000, 4, 12), Sizes(9000, 4, 12)  # 2 and 10 s, 302 and 318 MB
+    first = Measured(small, 50.0, 400.0, first=True)
+    assert model.scale([]) == 1.0
+    assert model.scale([first]) == 25.0
+    assert replace(model, start_cpu_s=2.0).scale([first, first]) == 24.0
+    assert replace(model, start_cpu_s=60.0).scale([first]) == 1.0, "it tells nothing"
+    assert model.scale([first, Measured(small, 2.0), Measured(large, 22.0)]) == 2.0
+    assert model.peak_mb_of([small, large], []) == 318.0
+    assert model.peak_mb_of([small, large], [first]) == 416.0
+    assert model.peak_mb_of([small], [Measured(large, 1.0, 500.0)]) == 500.0

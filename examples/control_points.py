@@ -5,7 +5,7 @@
 
 As many of a body's vertices (skin, bones, muscles; some 0.003 mm apart) are sent where a smooth map to a heavier body
 takes them. What is timed is `musclefit run` on the files of that: reading, one Cayley step of the backend "multilevel",
-checks of the skin, and the proof that nothing folds anywhere inside it. Takes 2 CPU minutes.
+checks of the skin, and the proof that nothing folds anywhere inside it. Takes minutes.
 """
 
 from __future__ import annotations

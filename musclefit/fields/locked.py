@@ -296,12 +296,11 @@ class LockedField:
 
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
+        return _some_at_once(self._gradient_bounds, centres, half_widths)
 
-        def bounds(centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
-            boxes = self._boxes(centres, half_widths)
-            return self._enclosed(boxes, self._bare(boxes))
-
-        return _some_at_once(bounds, centres, half_widths)
+    def _gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
+        boxes = self._boxes(centres, half_widths)
+        return self._enclosed(boxes, self._bare(boxes))
 
     def strain_bounds(self, centres: Points, half_widths: Float, *, enough: tuple[float, float]) -> tuple[Float, Float]:
         """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.

@@ -193,17 +193,8 @@ def fit_joint(
     names = [path.stem for path in paths]
     joint = _named_kind(names) if kind == NAMED else JointKind.UNIVERSAL if kind == SADDLE else _kind(kind)
     first, *others = (read_surface(path, units=unit).mesh() for path in paths)
-    found = fitted_joint(first, joined_surfaces(others), kind=joint, within_mm=within_mm)
+    found = fitted_joint(first, TriMesh.together(others), kind=joint, within_mm=within_mm)
     return JointFit(names[0], names[1], found, tuple(names[2:]))
-
-
-def joined_surfaces(surfaces: Sequence[TriMesh]) -> TriMesh:
-    """Surfaces as one, none of their vertices merged."""
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    return TriMesh(
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts[:-1], strict=True)]),
-    )
 
 
 def _kind(kind: JointKind | str) -> JointKind:

@@ -19,6 +19,7 @@ from musclefit.anatomy.repair.records import RepairSettings
 from musclefit.anatomy.repair.resolutions import Rule
 from musclefit.errors import InputError
 from musclefit.geometry.images.grids import Frame
+from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.queries.solids import moved_solid, overlap_volume, solid_of
 from musclefit.geometry.rigid import RigidMotion
@@ -35,7 +36,7 @@ from musclefit.report.repairs import RepairReport, repair_json
 from musclefit.rig.articulation import WITHIN_MM, fitted_joint
 from musclefit.rig.named_joints import NamedJoint, named_joints
 from musclefit.validate.overlaps import rest_overlaps
-from musclefit.workflows.fit_joint import JointFit, joined_surfaces
+from musclefit.workflows.fit_joint import JointFit
 from musclefit.workflows.given import KindsGiven, kinds_given, word
 from musclefit.workflows.progress import watched
 from musclefit.workflows.results import Shown
@@ -220,7 +221,7 @@ def _joints(anatomy: Anatomy, within_mm: float) -> tuple[tuple[LabelledJoint, ..
     fitted, told = [], []
     for joint in named_joints([bone.name for bone in bones], meeting=meeting):
         fixed = anatomy[joint.fixed].surface
-        moving = joined_surfaces([anatomy[name].surface for name in (joint.moving, *joint.also_moving)])
+        moving = TriMesh.together([anatomy[name].surface for name in (joint.moving, *joint.also_moving)])
         try:
             found = fitted_joint(fixed, moving, kind=joint.kind, within_mm=within_mm)
         except InputError as error:

@@ -98,14 +98,13 @@ def repair_surface(name: str, mesh: TriMesh, *, settings: RepairSettings, fill: 
         log.add("unused-vertices", unused, f"removed {unused} vertices that belong to no face")
     if before.none and not _thin_or_stray(mesh, settings).any():
         return replace(untouched, mesh=used, way=Way.LOCAL, changes=tuple(log.changes)) if unused else untouched
+    unmended = Log(list(log.changes))
     soup = mended(used, log, settings=settings, source=source)
     tried = [_local(untouched, soup, log, settings=settings, source=source)]
     if fill is not None and not tried[0].passed:
         tried.append(_resurfaced(untouched, soup, log, settings=settings, fill=fill))
         if not tried[1].passed:
-            raw = TriMesh(mesh.vertices, mesh.faces)
-            unmended = Log(log.changes[: bool(unused)])
-            tried.append(_resurfaced(untouched, compacted(raw), unmended, settings=settings, fill=fill))
+            tried.append(_resurfaced(untouched, used, unmended, settings=settings, fill=fill))
     for result in tried:
         if result.passed:
             return result

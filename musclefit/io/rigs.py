@@ -16,7 +16,6 @@ from musclefit.anatomy.findings import Finding
 from musclefit.anatomy.model import Anatomy
 from musclefit.errors import InputError, LandmarkError, RigError
 from musclefit.geometry.images.grids import stated_frame
-from musclefit.io import drives as _drives  # noqa: F401 (makes them known)
 from musclefit.io.anatomy import read_anatomy
 from musclefit.io.formats.points import in_anatomy_frame, outside_findings, points_frame, read_points
 from musclefit.io.formats.tables import parse_toml

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path as FilePath
-from types import MappingProxyType
 from typing import ClassVar, Protocol, Self
 
 from musclefit.anatomy.findings import Finding
@@ -190,8 +190,28 @@ class Drive(ABC):
 
 _known: dict[str, type[Drive]] = {}
 
-DRIVES: Mapping[str, type[Drive]] = MappingProxyType(_known)
-"""Every drive by its kind; those of musclefit are there once `musclefit.io.drives` is imported."""
+_OWN_DRIVES = "musclefit.io.drives"
+"""The room of the drives that come with musclefit: it stands above, and is imported once drives are asked for."""
+
+
+class _Drives(Mapping[str, type[Drive]]):
+    """The registered drives by kind, musclefit's own among them whatever was imported before."""
+
+    def __getitem__(self, kind: str) -> type[Drive]:
+        import_module(_OWN_DRIVES)
+        return _known[kind]
+
+    def __iter__(self) -> Iterator[str]:
+        import_module(_OWN_DRIVES)
+        return iter(_known)
+
+    def __len__(self) -> int:
+        import_module(_OWN_DRIVES)
+        return len(_known)
+
+
+DRIVES: Mapping[str, type[Drive]] = _Drives()
+"""Every drive by its kind: musclefit's own, and those that `register_drive` made known."""
 
 
 def register_drive(drive: type[Drive]) -> type[Drive]:

@@ -6,7 +6,6 @@ import re
 from typing import Any
 
 from musclefit.errors import InputError
-from musclefit.io import drives as _drives  # noqa: F401 (makes them known)
 from musclefit.io.rig_names import rigs_folder
 from musclefit.report.schema import mesh_report_schema, report_schema
 from musclefit.rig.rig_schema import rig_schema

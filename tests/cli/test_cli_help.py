@@ -6,7 +6,6 @@ import re
 
 import pytest
 
-import musclefit.io.drives  # noqa: F401 (keys of a drive are known once it is imported)
 from musclefit.cli.commands import app, main
 from musclefit.rig.rig_table import known_keys
 

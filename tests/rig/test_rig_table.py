@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+import subprocess
+import sys
 import tomllib
 from dataclasses import fields
 from typing import Any
@@ -404,6 +406,13 @@ def test_known_keys_are_the_fields_of_the_records() -> None:
     assert len(keys) == len(set(keys))
     assert {f"limits.{f.name}" for f in fields(Limits)} < set(keys)
     assert {"title", "drive.kind", "drive.pose", "drive.target", "anatomy.kinds", "deformer.max_steps"} < set(keys)
+
+
+def test_known_keys_do_not_depend_on_what_was_imported_before() -> None:
+    code = "from musclefit.rig.rig_table import known_keys; print(*known_keys())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    drives = (CageDrive, JointDrive, LandmarkDrive)
+    assert {f"drive.{field.name}" for drive in drives for field in fields(drive)} < set(said.stdout.split())
 
 
 values = st.recursive(

@@ -182,6 +182,11 @@ def nearness_of(surface: TriMesh, *, spacing_mm: float, reach_mm: float) -> Near
         Of the lattice's nodes.
     reach_mm : float
         What lies farther away than this is as far away as this.
+
+    Raises
+    ------
+    IndexError
+        A node beside the surface is in no brick near it, which can only be where the distances are wrong.
     """
     h, side, depth = spacing_mm, SIDE * spacing_mm, WITHIN * spacing_mm
     beyond = max(reach_mm, depth) + np.sqrt(3.0) * 0.5 * ACROSS * h  # of a brick and of the nodes that it sees

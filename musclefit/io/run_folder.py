@@ -487,7 +487,10 @@ def _plain_name(name: str) -> str:
 
 
 def save_whole(dataset: Any, path: Path) -> None:
-    """Save a VTK dataset; VTK reports a full disk on the screen alone, so the end of the file is looked at."""
+    """Save a VTK dataset, or raise OSError where its file is not whole.
+
+    VTK reports a full disk on the screen alone, so the end of the file is looked at.
+    """
     dataset.save(path, binary=True)
     whole = path.is_file() and path.read_bytes()[-32:].rstrip().endswith(b"</VTKFile>")
     if not whole:

@@ -194,7 +194,13 @@ def render_page(template: str, page: dict[str, Any]) -> str:
 
 
 def scene_parts(scene: Scene | None) -> SceneParts | None:
-    """What the templates put into a page for a view in 3-D; None where there is nothing to show."""
+    """What the templates put into a page for a view in 3-D; None where there is nothing to show.
+
+    Raises
+    ------
+    ValueError
+        A script of the viewer would close its own element; it was built wrongly.
+    """
     if scene is None:
         return None
     text, data = packed(scene)

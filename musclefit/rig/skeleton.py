@@ -254,6 +254,11 @@ def rotation_minimising_frames(curve: Points, *, normal: Points) -> Float:
         Columns: normal, binormal, tangent; right-handed. The twist left between stations is of fourth order in their
         distance, and none on lines and circles.
 
+    Raises
+    ------
+    LandmarkError
+        The curve turns straight back at a landmark, or ``normal`` is along its beginning.
+
     References
     ----------
     W. Wang, B. Jüttler, D. Zheng and Y. Liu, "Computation of rotation minimizing frames", ACM Trans. Graph. 27 (2008).

@@ -203,7 +203,13 @@ def read_osim(path: Path) -> OpenSimModel:
 def rig_text(
     model: OpenSimModel, meshes: Sequence[PlacedMesh], *, motion: str = "", frame: MarkerFrame | None = None
 ) -> str:
-    """The rig of a model: its closed bones on their bodies, its motion, or the first free angle a little way."""
+    """The rig of a model: its closed bones on their bodies, its motion, or the first free angle a little way.
+
+    Raises
+    ------
+    InputError
+        No motion is given, and no coordinate is an angle that is free.
+    """
     bodies = list(dict.fromkeys(mesh.body for mesh in meshes if not mesh.fault))
     carried = ", ".join(f"{toml_string(body)} = [{toml_string(body + BETWEEN + '*')}]" for body in bodies)
     attached = [

@@ -170,6 +170,8 @@ def run_sequence(
     ------
     InputError
         The folder holds something else or another sequence, or what `SequencePlan.poses` refuses.
+    OSError
+        A frame was not written whole, as on a full disk.
     """
     folder, progress, poses = Path(folder), progress or Silent(), plan.poses
     if workers < 0:

@@ -135,7 +135,13 @@ def _planned_on_model(
 
 
 def with_motion(motion: str | Path | None, overrides: Sequence[str]) -> tuple[str, ...]:
-    """The overrides, and drive.motion where a motion of OpenSim is given, which only the rig's model can read."""
+    """The overrides, and drive.motion where a motion of OpenSim is given, which only the rig's model can read.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
     if motion is None or Path(motion).suffix.lower() not in (*ENDINGS, *MARKERS):
         return tuple(overrides)
     if not Path(motion).is_file():

@@ -76,6 +76,11 @@ def gradient_bounds(field: RadialSum, centres: Points, half_widths: Float, *, ba
     """Enclose the gradient over boxes, or over their parts within ``balls`` (B,) of the centres.
 
     See `musclefit.fields.protocol.Field.gradient_bounds`.
+
+    Raises
+    ------
+    FieldError
+        Boxes of other dimensions than the field's, or half widths that are no sizes.
     """
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
     gradients, radii = np.empty((len(centres), 3, 3)), np.empty(len(centres))
@@ -91,6 +96,11 @@ def strain_bounds(
     """Bound the eigenvalues of the strain over boxes, or over their parts within ``balls`` (B,) of the centres.
 
     See `musclefit.fields.radial.RadialField.strain_bounds`.
+
+    Raises
+    ------
+    FieldError
+        Boxes of other dimensions than the field's, or half widths that are no sizes.
     """
     boxes = _prepared(field, centres, half_widths)
     ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
@@ -110,7 +120,13 @@ def strain_bounds(
 
 
 def displacement_bounds(field: RadialSum, centres: Points, half_widths: Float) -> tuple[Points, Float]:
-    """Enclose the displacement over boxes; see `musclefit.fields.radial.RadialField.displacement_bounds`."""
+    """Enclose the displacement over boxes; see `musclefit.fields.radial.RadialField.displacement_bounds`.
+
+    Raises
+    ------
+    FieldError
+        Boxes of other dimensions than the field's, or half widths that are no sizes.
+    """
     boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
     scale, _, table, _, sources, weights, sizes, _ = boxes.field
     summed, errors = np.empty_like(boxes.local), np.empty(len(centres))

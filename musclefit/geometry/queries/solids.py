@@ -101,7 +101,7 @@ def overlap_volume(a: Solid, b: Solid) -> float:
 
 
 def overlap_part(a: Solid, b: Solid) -> tuple[float, TriMesh]:
-    """Volume, mm³, and surface of what two solids share; raises as `overlap_volume`."""
+    """Volume, mm³, and surface of what two solids share; MeshError as for `overlap_volume`."""
     if _boxes_apart(a.box, b.box):
         return 0.0, _NOTHING
     shared = a.manifold ^ b.manifold
@@ -110,7 +110,7 @@ def overlap_part(a: Solid, b: Solid) -> tuple[float, TriMesh]:
 
 
 def outside_part(a: Solid, skin: Solid) -> tuple[float, TriMesh]:
-    """Volume, mm³, and surface of the part of ``a`` that is outside ``skin``; raises as `volume_outside`."""
+    """Volume, mm³, and surface of the part of ``a`` outside ``skin``; MeshError as for `volume_outside`."""
     left = a.manifold if _boxes_apart(a.box, skin.box) else a.manifold - skin.manifold
     volume = _believable(float(left.volume()), at_most=a.volume, what="volume outside")
     return volume, _tri_mesh(left) if volume > 0.0 else _NOTHING
@@ -148,14 +148,14 @@ def moved_solid(solid: Solid, motion: RigidMotion) -> Solid:
 
 
 def shared_solid(a: Solid, b: Solid) -> Solid | None:
-    """What two solids share, or None where that is nothing beyond rounding; raises as `overlap_volume`."""
+    """What two solids share, or None where that is nothing beyond rounding; MeshError as for `overlap_volume`."""
     if _boxes_apart(a.box, b.box):
         return None
     return _part(a.manifold ^ b.manifold, at_most=min(a.volume, b.volume), what="overlap")
 
 
 def solid_outside(a: Solid, b: Solid) -> Solid | None:
-    """The part of ``a`` outside ``b``, or None where that is nothing beyond rounding; raises as `volume_outside`."""
+    """The part of ``a`` outside ``b``, or None if it is only rounding; MeshError as for `volume_outside`."""
     if _boxes_apart(a.box, b.box):
         return a
     return _part(a.manifold - b.manifold, at_most=a.volume, what="volume outside")

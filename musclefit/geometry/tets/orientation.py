@@ -56,7 +56,7 @@ def orientations(vertices: Points, tets: Tets) -> Int:
 
 
 def undecided_in_floating_point(vertices: Points, tets: Tets) -> Bool:
-    """(k,) True where `orientations` needs integers."""
+    """(k,) True where `orientations` needs integers; MeshError as there."""
     _require_finite(vertices)
     signs = _filtered(np.ascontiguousarray(vertices), np.ascontiguousarray(tets))
     unsure: Bool = signs == _UNSURE

@@ -119,7 +119,7 @@ def csv_of(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def csv_lines(text: str, path: Path, *, delimiter: str) -> list[tuple[int, tuple[str, ...]]]:
-    """The rows that are not blank, each with its line number, from 1."""
+    """The rows that are not blank, each with its line number, from 1; LandmarkError where a line is not valid CSV."""
     reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
     try:
         return [(reader.line_num, tuple(row)) for row in reader if any(cell.strip() for cell in row)]

@@ -107,7 +107,7 @@ def muscle_paths(given: Arrays) -> Arrays:
     """Lengths, moment arms and path points of every muscle in every pose.
 
     ``coordinates`` (c,) and ``values`` (k, c) are the poses; ``pairs`` (p, 2) the muscles and coordinates whose moment
-    arms are asked for.
+    arms are asked for. A muscle without a path raises TypeError.
     """
     opensim = _opensim()
     model = opensim.Model(MODEL)

@@ -6,7 +6,6 @@ What else goes wrong ends as exit code 3, in `musclefit.cli.unforeseen`.
 from __future__ import annotations
 
 import json as json_text
-import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -36,6 +35,7 @@ from musclefit.cli.import_osim import import_osim
 from musclefit.cli.joint_range import joint_range
 from musclefit.cli.kinds import parse_kinds
 from musclefit.cli.label_surfaces import label_surfaces
+from musclefit.cli.logs import HELP, IN_FILE, log_options, logging_to
 from musclefit.cli.options import QuietOption, print_json
 from musclefit.cli.render import render
 from musclefit.cli.repair import repair
@@ -48,7 +48,7 @@ from musclefit.cli.warp_image import warp_image
 from musclefit.errors import MusclefitError
 from musclefit.io.rig_names import builtin_rigs, find_rig
 from musclefit.vocabulary import BackendKind
-from musclefit.workflows.progress import TimedStages
+from musclefit.workflows.progress import LOG, TimedStages
 
 # The commands import what reads and computes when they need it, so that mistakes are told at once.
 
@@ -61,7 +61,7 @@ app = App(
     help="Foldover-free retargeting of layered musculoskeletal models, with a report that proves it.",
     version=__version__,
     help_epilogue="Exit code 0: passed; 1: a limit is exceeded, the report is written; 2: bad input, nothing is "
-    "written; 3: unexpected error, a log file is written; 130: interrupted.",
+    f"written; 3: unexpected error, a log file is written; 130: interrupted. {HELP}",
     default_parameter=Parameter(negative=(), show_default=False),
     usage="Usage: musclefit COMMAND [OPTIONS]",
     suppress_keyboard_interrupt=False,
@@ -269,17 +269,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str, or None for those of the process
     """
-    _log_to_standard_error()
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError):  # names that the terminal cannot show must not end a run
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        result = app(
-            list(sys.argv[1:] if arguments is None else arguments),
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
-        )
+        asked = log_options(sys.argv[1:] if arguments is None else arguments)
+        with logging_to(asked):
+            code = _exit_code(asked.arguments)
+            LOG.debug("ended with exit code %d", code, extra=IN_FILE)
+            return code
+    except MusclefitError as error:
+        return _refuse(str(error))
+
+
+def _exit_code(arguments: Sequence[str]) -> int:
+    try:
+        result = app(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
         return _refuse(f"{error} See musclefit --help")
@@ -292,22 +297,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f" ({error.filename})" if error.filename else ""
         return _refuse(f"{error.strerror or error}{where}; check the path, its permissions and the free space")
     return result if isinstance(result, int) else PASSED
-
-
-class _StandardError(logging.Handler):
-    """Writes to standard error as it is when told."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        with suppress(OSError, ValueError):
-            print(f"musclefit: {record.getMessage()}", file=sys.stderr)
-
-
-def _log_to_standard_error() -> None:
-    """How long stages took, where no bars are shown."""
-    log = logging.getLogger("musclefit")
-    if not any(isinstance(handler, _StandardError) for handler in log.handlers):
-        log.addHandler(_StandardError())
-        log.setLevel(logging.INFO)
 
 
 def _run(
@@ -352,5 +341,6 @@ def _written(folder: Path) -> Any:
 
 
 def _refuse(message: str) -> int:
+    LOG.error("%s", message, extra=IN_FILE)
     Console(stderr=True, highlight=False, soft_wrap=True).print(f"musclefit: {message}", markup=False)
     return BAD_INPUT

@@ -16,7 +16,7 @@ from rich.progress import Progress as Bars
 from musclefit.progress import Progress, Tick
 
 LOG = logging.getLogger("musclefit")
-"""Receives every stage where no bars are shown."""
+"""Receives every stage: at level INFO what takes long where no bars are shown, at level DEBUG the rest."""
 
 Shares = tuple[tuple[str, float], ...]
 """Stages in the order in which they come, and what part of the time each usually takes; some may not come at all."""
@@ -75,9 +75,9 @@ class TimedStages:
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.percentage:>3.0f}%"),
-            TextColumn("after"),
+            TextColumn("elapsed"),
             TimeElapsedColumn(),
-            TextColumn("still"),
+            TextColumn("left about"),
             TimeRemainingColumn(),
             console=self._console,
             transient=True,
@@ -107,6 +107,7 @@ class TimedStages:
     def stage(self, name: str) -> Iterator[Tick]:
         """Open a named stage; its seconds add up when the name comes again."""
         task = self._bars.add_task(name, total=1.0)
+        LOG.debug("%s: begins", name)
         start = last = time.perf_counter()
         with ExitStack() as stack:
             other = stack.enter_context(self._beside.stage(name)) if self._beside is not None else None
@@ -118,9 +119,10 @@ class TimedStages:
                 if other is not None:
                     other(fraction)
                 now = time.perf_counter()
-                if self._told and now - last > TOLD_EVERY_S:
+                if now - last > TOLD_EVERY_S:
                     last = now
-                    LOG.info("%s: %.0f %% after %.0f s%s", name, 100.0 * fraction, now - start, self._so_far)
+                    level = logging.INFO if self._told else logging.DEBUG
+                    LOG.log(level, "%s: %.0f %% after %.0f s%s", name, 100.0 * fraction, now - start, self._so_far)
 
             try:
                 yield tick
@@ -130,8 +132,8 @@ class TimedStages:
                 self._bars.update(task, completed=1.0)
                 self._bars.stop_task(task)
                 self._count(name, 1.0)
-                if self._told and took >= TOLD_FROM_S:
-                    LOG.info("%s: %.1f s%s", name, took, self._so_far)
+                level = logging.INFO if self._told and took >= TOLD_FROM_S else logging.DEBUG
+                LOG.log(level, "%s: %.1f s%s", name, took, self._so_far)
 
     def _count(self, name: str, fraction: float) -> None:
         if self._whole is not None and self._all is not None:

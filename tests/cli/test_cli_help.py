@@ -7,6 +7,7 @@ import re
 import pytest
 
 from musclefit.cli.commands import app, main
+from musclefit.cli.logs import LOG_FILE, VERBOSE
 from musclefit.rig.rig_table import known_keys
 
 COMMANDS = sorted(name for name in app if not name.startswith("-"))
@@ -32,7 +33,7 @@ def test_what_help_names_exists(command: str, help_of) -> None:
     keys = set(re.findall(rf"\b(?:{SECTIONS})\.[a-z_]+\b(?!\.)", text)) - set(known_keys())
     assert {key for key in keys if not key.endswith((".toml", ".csv", ".json", ".ply"))} == set()
     options = {name for argument in app[command].assemble_argument_collection() for name in argument.names}
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options | {"--help", "--version"}
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options | {"--help", "--version", VERBOSE, LOG_FILE}
     assert set(re.findall(r"\bmusclefit ([a-z][a-z-]+)\b", text)) <= set(COMMANDS)
     assert re.findall(HOUSE_WORDS, text) == []
     assert re.findall(r"[ ,]_[a-z]+", text) == [], "what stands in angle brackets is taken for markup"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import io
 import logging
 import re
 import runpy
@@ -176,6 +177,25 @@ def test_the_whole_never_goes_back_and_counts_stages_that_do_not_come() -> None:
     ticks = ("march", 0.0), ("march", 0.5), ("prove", 1.0), ("march", 0.1), ("tets", 1.0), ("draw", 1.0)
     told = [whole.tick(name, share) for name, share in ticks]
     assert told == pytest.approx([0.1, 0.4, 0.9, 0.9, 0.9, 1.0])
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_bars_tell_elapsed_from_remaining_time_and_show_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with TimedStages(shown=True, shares=(("march", 3.0), ("prove", 1.0))) as stages, stages.stage("march") as tick:
+        tick(0.5)
+        stages._bars.refresh()
+    rows = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", screen.getvalue()).splitlines()
+    times = r"elapsed 0:00:0\d left about (-:--:--|0:00:0\d)"
+    assert any(re.search(rf"in all +\S+ +38% {times}", row) for row in rows), rows
+    assert any(re.search(rf"march +\S+ +50% {times}", row) for row in rows), rows
 
 
 def test_lines_of_stages_say_how_much_of_the_whole_is_done(

@@ -36,6 +36,14 @@ def export_osim(
         tuple[Path, ...],
         Parameter(name="--geometry", help="A further folder to search for meshes. May be repeated."),
     ] = (),
+    linear: Annotated[
+        tuple[str, ...],
+        Parameter(
+            name="--linear",
+            consume_multiple=True,
+            help="Bodies to scale linearly along their own axes, by the factors that fit the map best.",
+        ),
+    ] = (),
     set: SetOption = (),  # noqa: A002 (the option's name)
     quiet: QuietOption = False,
     json: JsonOption = False,
@@ -44,11 +52,27 @@ def export_osim(
     from musclefit.workflows.export_osim import export_osim as carry
 
     with TimedStages(shown=not quiet) as stages:
-        made = carry(rig, model, out, overrides=set, motion=motion, frames=frames, geometry=geometry, progress=stages)
+        made = carry(
+            rig,
+            model,
+            out,
+            overrides=set,
+            motion=motion,
+            frames=frames,
+            geometry=geometry,
+            linear=linear,
+            progress=stages,
+        )
     if json:
         print_json(made.to_json())
     elif not quiet:
         print(f"wrote {made.said()}")
+        for name, body in made.linear.items():
+            factors = " ".join(f"{factor:.4f}" for factor in body.factors)
+            print(
+                f"  body {name}: scaled by {factors} along x y z, {body.rms_mm:.3g} mm rms from where the map takes "
+                f"it, {body.largest_mm:.3g} mm at most"
+            )
         for name, (before, after) in made.muscles.items():
             print(f"  {name}: {before:.4g} -> {after:.4g} mm")
         for name, wrap in made.wraps.items():

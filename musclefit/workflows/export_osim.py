@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from musclefit.io.run_folder import require_new_folder, write_new_folder
 from musclefit.pipeline.deformers import deform
 from musclefit.progress import Progress
 from musclefit.rig.job import FAR_DIAGONALS
+from musclefit.rig.linear_fits import AxisFactors, axis_factors
 from musclefit.rig.multibody import GROUND, BodyJoint
 from musclefit.rig.wrap_fits import FittedWrap, fitted_wrap, wrap_samples
 from musclefit.vocabulary import Unit
@@ -40,6 +41,20 @@ from musclefit.workflows.results import Shown
 Move = Callable[[Points], Points]
 _M = Unit.METRE.in_mm
 LENGTHS = ("optimal_fiber_length", "tendon_slack_length")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinearBody:
+    """A body scaled by (3,) factors along its own axes; how far its vertices are from where the map takes them, mm."""
+
+    factors: Float
+    rms_mm: float
+    largest_mm: float
+
+    def row(self, body: str) -> dict[str, Any]:
+        """A row of a table."""
+        x, y, z = self.factors.tolist()
+        return {"body": body, "x": x, "y": y, "z": z, "rms_mm": self.rms_mm, "largest_mm": self.largest_mm}
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -58,6 +73,8 @@ class ExportedModel(Shown):
         What was left as it is, in words.
     compared : MusclesCompared or None
         Lengths, moment arms and paths in bone before and after; None where they were not measured.
+    linear : mapping of body to LinearBody
+        Bodies that were scaled linearly instead.
     """
 
     path: Path
@@ -66,13 +83,14 @@ class ExportedModel(Shown):
     wraps: Mapping[str, FittedWrap]
     left: tuple[str, ...]
     compared: MusclesCompared | None = None
+    linear: Mapping[str, LinearBody] = field(default_factory=dict)
 
     def said(self) -> str:
         """Counts in a line."""
         return f"{self.path}: {self.points} points, {len(self.wraps)} wrap objects, {len(self.muscles)} muscles carried"
 
     def tables(self) -> Mapping[str, Iterable[Any]]:
-        """Muscles and wrap objects; of muscles over a motion their ranges and moment arms."""
+        """Muscles, wrap objects, bodies scaled linearly; of muscles over a motion their ranges and moment arms."""
         muscles = [
             {"name": name, "length_before_mm": before, "length_after_mm": after}
             for name, (before, after) in self.muscles.items()
@@ -80,7 +98,8 @@ class ExportedModel(Shown):
         wraps = [{"name": n, "rms_mm": w.rms_mm, "largest_mm": w.largest_mm} for n, w in self.wraps.items()]
         found = self.compared
         over = {} if found is None else {"muscles_over_motion": found.muscle_rows(), "moment_arms": found.arm_rows()}
-        return {"muscles": muscles, "wraps": wraps, **over}
+        scaled = {"linear_bodies": [one.row(body) for body, one in self.linear.items()]} if self.linear else {}
+        return {"muscles": muscles, "wraps": wraps, **scaled, **over}
 
     def to_json(self) -> dict[str, Any]:
         """All of it."""
@@ -97,6 +116,7 @@ def export_osim(
     motion: str | Path | None = None,
     frames: int = 20,
     geometry: Sequence[str | Path] = (),
+    linear: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> ExportedModel:
     """Deform an OpenSim model by a rig; whatever does not move stays byte for byte as in the file.
@@ -121,6 +141,10 @@ def export_osim(
         At most this many of the motion's own times, evenly spread, the first and the last included.
     geometry : sequence of path
         Further folders to look for meshes in.
+    linear : sequence of str
+        Bodies that are scaled along their own axes instead, by the factors that fit best to where the map takes their
+        meshes: meshes, path points, markers, wrap objects, mass centre and joint frames. They keep their orientation
+        and stand where their joint has them; one that a joint fixes to the ground stands where it fits best.
     progress : Progress, optional
 
     Returns
@@ -131,7 +155,8 @@ def export_osim(
     Raises
     ------
     InputError, MeshError, RigError, NotConvergedError
-        A model that cannot be read or is not where the anatomy is, or a rig that does not reach its destination.
+        A model that cannot be read or is not where the anatomy is, a rig that does not reach its destination, or a
+        body in ``linear`` that the model does not have, that has no mesh, or that the map turns too far.
     """
     source, folder = Path(model), Path(out)
     require_new_folder(folder)
@@ -141,11 +166,13 @@ def export_osim(
         read = read_osim(source)
         poses = None if motion is None else _poses(Path(motion), read, frames)
         files, missing = find_geometry(read, [Path(place) for place in geometry])
+        _require_scalable(read, files, linear)
         job = read_rig(rig, overrides=overrides, progress=stages)
         _require_near(read, job.anatomy.vertices())
         move = deform(job, job.anatomy.vertices(), progress=stages).deformation.require()
         with stages.stage("carry the model"):
-            carrier = _Carrier(read, move)
+            placed = placed_meshes(read, files) if linear or poses is not None else ()
+            carrier = _Carrier(read, move, _fits(read, placed, move=move, linear=linear))
             edits = carrier.edits()
             meshes = carrier.meshes(files)
         edits += [(element, name) for element, (name, _) in zip(_named(read, files), meshes, strict=True)]
@@ -153,7 +180,7 @@ def export_osim(
         left = carrier.left + [f"mesh {name}: is nowhere, not written" for name in missing]
         compared = None
         if poses is not None:
-            before, after, open_ = carrier.bones(placed_meshes(read, files))
+            before, after, open_ = carrier.bones(placed)
             left += poses.told + [f"mesh {name}: is not closed; inside is where it winds by a half" for name in open_]
             compared = muscles_compared(
                 read,
@@ -166,7 +193,15 @@ def export_osim(
             contents["muscles.csv"] = csv_of(compared.pose_rows()).encode()
             contents["moment_arms.csv"] = csv_of(compared.pose_arm_rows()).encode()
         write_new_folder(folder, contents)
-    return ExportedModel(folder / source.name, carrier.count, carrier.muscles, carrier.wraps, tuple(left), compared)
+    return ExportedModel(
+        folder / source.name,
+        carrier.count,
+        carrier.muscles,
+        carrier.wraps,
+        tuple(left),
+        compared,
+        carrier.scaled(placed),
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -189,6 +224,36 @@ def _named(model: OpenSimModel, files: Sequence[Path | None]) -> list[Element]:
     return [mesh.element for mesh, path in zip(model.meshes, files, strict=True) if path is not None]
 
 
+def _require_scalable(model: OpenSimModel, files: Sequence[Path | None], linear: Sequence[str]) -> None:
+    """Refuse bodies that cannot be scaled, before the work."""
+    with_mesh = {mesh.body for mesh, path in zip(model.meshes, files, strict=True) if path is not None}
+    for body in linear:
+        if body not in model.multibody.bodies:
+            raise InputError(
+                f"{model.source}: body {body!r}, which is to be scaled linearly, is not in the model; it has "
+                f"{', '.join(model.multibody.bodies)}"
+            )
+        if body not in with_mesh:
+            raise InputError(
+                f"{model.source}: body {body!r} has no mesh that was found, and linear factors are fitted to meshes; "
+                "leave it to the map, or name the folder of its geometry"
+            )
+
+
+def _fits(
+    model: OpenSimModel, placed: Sequence[PlacedMesh], *, move: Move, linear: Sequence[str]
+) -> dict[str, AxisFactors]:
+    """The factors of each body that is scaled, in its own frame."""
+    rest = model.multibody.places({})
+    fits = {}
+    for body in dict.fromkeys(linear):
+        bone = TriMesh.together([one.mesh for one in placed if one.body == body])
+        to_body = rest[body].inverse()
+        local = TriMesh(to_body(bone.vertices), bone.faces)
+        fits[body] = axis_factors(local, to_body(move(bone.vertices)), name=body)
+    return fits
+
+
 def _require_near(model: OpenSimModel, vertices: Points) -> None:
     places = model.multibody.places({})
     origins = np.array([places[body].translation for body in model.multibody.bodies])
@@ -204,8 +269,8 @@ def _require_near(model: OpenSimModel, vertices: Points) -> None:
 class _Carrier:
     """One model on its way."""
 
-    def __init__(self, model: OpenSimModel, move: Move) -> None:
-        self.model, self.move = model, move
+    def __init__(self, model: OpenSimModel, move: Move, fits: Mapping[str, AxisFactors]) -> None:
+        self.model, self.move, self.fits = model, move, fits
         self.before = model.multibody.places({})
         self.after: dict[str, RigidMotion] = {GROUND: RigidMotion.identity()}
         self.muscles: dict[str, tuple[float, float]] = {}
@@ -216,7 +281,8 @@ class _Carrier:
     def edits(self) -> list[tuple[Element, str]]:
         edits = [edit for joint in self.model.multibody.joints for edit in self._joint(joint)]
         moved = {
-            id(point): self._at(point.body, self.before[point.body](point.at[None])[0]) for point in self.model.points
+            id(point): self.after[point.body].inverse()(self._gone(point.body, point.at[None]))[0]
+            for point in self.model.points
         }
         for point in self.model.points:
             if point.body == GROUND:
@@ -232,12 +298,12 @@ class _Carrier:
         ]
         return edits
 
-    def _at(self, body: str, ground: Points) -> Points:
-        """Where a place of the ground goes, in the body's new frame, mm."""
-        if body == GROUND:
-            return ground
-        local: Points = self.after[body].inverse()(self.move(ground[None]))[0]
-        return local
+    def _gone(self, body: str, local: Points) -> Points:
+        """Where (n, 3) places of a body's frame go, in the ground's, mm; on the ground nothing moves."""
+        if body in self.fits:
+            return self.after[body](self.fits[body].factors * local)
+        ground = self.before[body](local)
+        return ground if body == GROUND else self.move(ground)
 
     def _joint(self, joint: BodyJoint) -> list[tuple[Element, str]]:
         """The places of a joint's frames, and by them that of the child."""
@@ -248,24 +314,37 @@ class _Carrier:
         frame = self.before[joint.parent] @ joint.in_parent
         new_frame = frame
         if joint.parent != GROUND:
-            at = self.move(frame.translation[None])[0] if in_parent is not None else parent.translation
-            new_frame = RigidMotion(frame.rotation, at)
+            local = joint.in_parent.translation[None]
+            at = self._gone(joint.parent, local) if in_parent is not None else parent(local)
+            new_frame = RigidMotion(frame.rotation, at[0])
         motion = joint.in_parent.inverse() @ joint.place(values) @ joint.in_child
         middle = new_frame @ motion
         edits = []
         if in_parent is not None:
             edits.append((in_parent, _text(parent.inverse()(new_frame.translation[None])[0] / _M)))
-        origin = middle.translation
+        origin = (middle @ joint.in_child.inverse()).translation
         if in_child is not None:
-            origin = self.move(self.before[joint.child].translation[None])[0]
+            origin = self._origin(joint, middle)
             place = RigidMotion(turn, origin)
             edits.append((in_child, _text(place.inverse()(middle.translation[None])[0] / _M)))
         self.after[joint.child] = RigidMotion(turn, origin)
         return edits
 
+    def _origin(self, joint: BodyJoint, middle: RigidMotion) -> Points:
+        """Where the origin of a joint's child goes, the joint's frame in the child being at ``middle``."""
+        place = self.before[joint.child]
+        if joint.child not in self.fits:
+            there: Points = self.move(place.translation[None])[0]
+            return there
+        fit = self.fits[joint.child]
+        if joint.parent == GROUND:
+            at: Points = place(fit.offset[None])[0]
+            return at
+        return middle.translation - place.rotation @ (fit.factors * joint.in_child.translation)
+
     def _wrap(self, wrap: WrapObject) -> list[tuple[Element, str]]:
         samples = wrap_samples(wrap.kind, wrap.sizes_mm)
-        moved = self.move((self.before[wrap.body] @ wrap.place)(samples))
+        moved = self._gone(wrap.body, wrap.place(samples))
         fit = fitted_wrap(wrap.kind, wrap.sizes_mm, samples=samples, moved=moved)
         self.wraps[f"{wrap.body}/{wrap.name}"] = fit
         place = self.after[wrap.body].inverse() @ fit.place
@@ -296,13 +375,22 @@ class _Carrier:
                     edits.append((child, repr(float(child.text) * after / before)))
         return edits
 
+    def scaled(self, placed: Sequence[PlacedMesh]) -> dict[str, LinearBody]:
+        """The bodies that were scaled, held against the map."""
+        found = {}
+        for body, fit in self.fits.items():
+            rest = np.concatenate([one.mesh.vertices for one in placed if one.body == body])
+            off = np.linalg.norm(self._gone(body, self.before[body].inverse()(rest)) - self.move(rest), axis=1)
+            found[body] = LinearBody(fit.factors, float(np.sqrt((off**2).mean())), float(off.max()))
+        return found
+
     def bones(self, placed: Sequence[PlacedMesh]) -> tuple[Surfaces, Surfaces, list[str]]:
         """The meshes in their bodies' frames before and after, and the names of those that are not closed."""
         before: list[tuple[str, str, TriMesh]] = []
         after: list[tuple[str, str, TriMesh]] = []
         for mesh in placed:
             rest = mesh.mesh.vertices
-            gone = rest if mesh.body == GROUND else self.move(rest)
+            gone = self._gone(mesh.body, self.before[mesh.body].inverse()(rest))
             for kept, places, vertices in ((before, self.before, rest), (after, self.after, gone)):
                 local = places[mesh.body].inverse()(vertices)
                 kept.append((mesh.name, mesh.body, TriMesh(local, mesh.mesh.faces)))
@@ -315,8 +403,7 @@ class _Carrier:
             if path is None:
                 continue
             raw = read_surface(path, units=Unit.METRE)
-            rest = (self.before[mesh.body] @ mesh.place)(raw.vertices * mesh.factors)
-            gone = rest if mesh.body == GROUND else self.move(rest)
+            gone = self._gone(mesh.body, mesh.place(raw.vertices * mesh.factors))
             local = (self.after[mesh.body] @ mesh.place).inverse()(gone) / mesh.factors / _M
             name = f"{mesh.body}__{path.stem}"
             taken = [stem.rpartition(".")[0] for stem, _ in written]

@@ -12,6 +12,7 @@ from tiny_osim import MODEL, MOTION, opensim_places, write_tiny_osim
 
 import musclefit as mf
 from musclefit.cli import main
+from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
 from musclefit.rig.wrap_fits import fitted_wrap, wrap_samples
 
@@ -152,3 +153,107 @@ def test_a_motion_that_cannot_be_read_ends_before_the_work(
     assert main(["export-osim", str(rig), str(model), str(tmp_path / "out"), "--motion", str(bad), "--quiet"]) == 2
     assert "no column is a coordinate of the model" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_listed_bodies_are_scaled_along_their_own_axes(
+    carried: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Thigh and foot by factors, all that is fixed to them too; hip and shank as the map says; OpenSim agrees."""
+    model, rig = carried
+    command = ["export-osim", str(rig), str(model), str(tmp_path / "out"), "--quiet", "--json", "--linear"]
+    assert main([*command, "thigh", "foot"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    out = tmp_path / "out" / "tiny.osim"
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, out))
+    before, after = old.multibody.places({}), new.multibody.places({})
+    factors = {one["body"]: np.array([one["x"], one["y"], one["z"]]) for one in said["linear_bodies"]}
+    assert list(factors) == ["thigh", "foot"]
+    for body, found in factors.items():  # a ball with the scale factors of its mesh: its axes are the body's
+        along = before[body].rotation.T @ LINEAR @ before[body].rotation
+        np.testing.assert_allclose(found, np.diag(along), rtol=1e-3)
+    for one, other in zip(old.points, new.points, strict=True):
+        meant = after[one.body].inverse()((LINEAR @ before[one.body](one.at[None])[0] + SHIFT)[None])[0]
+        if one.body in factors:
+            meant = factors[one.body] * one.at
+        np.testing.assert_allclose(other.at, meant, atol=1e-6)
+    for was, now in zip(old.multibody.joints, new.multibody.joints, strict=True):
+        if was.parent in factors:
+            meant = factors[was.parent] * was.in_parent.translation
+            np.testing.assert_allclose(now.in_parent.translation, meant, atol=1e-9)
+        if was.child in factors:
+            meant = factors[was.child] * was.in_child.translation
+            np.testing.assert_allclose(now.in_child.translation, meant, atol=1e-9)
+    opened = opensim_places(out, new.multibody.values({}))
+    for body, (rotation, translation) in opened.items():
+        np.testing.assert_allclose(rotation, before[body].rotation, atol=1e-9)
+        np.testing.assert_allclose(translation, after[body].translation, atol=1e-6)
+    vertices = surface_of(tmp_path / "out" / "Geometry" / "thigh__thigh.obj")
+    np.testing.assert_allclose(
+        vertices, factors["thigh"] * surface_of(model.parent / "Geometry" / "thigh.stl"), atol=1e-4
+    )
+    rest = before["thigh"](surface_of(model.parent / "Geometry" / "thigh.stl") * (1.0, 1.2, 1.0))
+    off = np.linalg.norm(after["thigh"](vertices * (1.0, 1.2, 1.0)) - (rest @ LINEAR.T + SHIFT), axis=1)
+    assert said["linear_bodies"][0]["rms_mm"] == pytest.approx(np.sqrt((off**2).mean()), rel=1e-3)
+    assert said["linear_bodies"][0]["largest_mm"] == pytest.approx(off.max(), rel=1e-3)
+
+
+def surface_of(path: Path) -> np.ndarray:
+    """Sorted vertices of a surface in metres, mm."""
+    found = np.unique(read_surface(path, units=mf.Unit.METRE).vertices.round(5), axis=0)
+    return np.asarray(found)
+
+
+def test_a_linear_body_on_the_ground_stands_where_it_fits_best(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    model, rig = carried
+    made = mf.export_osim(rig, model, tmp_path / "out", linear=["hip"], progress=None)
+    new = parse_osim((tmp_path / "out" / "tiny.osim").read_bytes(), source="m").multibody.places({})
+    old = parse_osim(model.read_bytes(), source="m").multibody.places({})
+    middle = old["hip"].translation  # of a ball around the body's origin
+    np.testing.assert_allclose(new["hip"].translation, LINEAR @ middle + SHIFT, atol=1e-3)
+    assert made.linear["hip"].largest_mm < 0.15 * 36.0  # what shears of 5 and 10 % do to a ball of 30 to 36 mm
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("femur", r"body 'femur', which is to be scaled linearly, is not in the model; it has hip, thigh"),
+        ("ground", r"body 'ground', which is to be scaled linearly, is not in the model"),
+        ("cap", r"body 'cap' has no mesh that was found, and linear factors are fitted to meshes"),
+    ],
+)
+def test_bodies_that_cannot_be_scaled_are_refused_before_the_work(
+    carried: tuple[Path, Path], tmp_path: Path, body: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, rig = carried
+    assert main(["export-osim", str(rig), str(model), str(tmp_path / "out"), "--linear", body, "--quiet"]) == 2
+    assert re.search(said, " ".join(capsys.readouterr().err.split()))
+    assert not (tmp_path / "out").exists()
+
+
+def test_factors_are_printed(carried: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, rig = carried
+    assert main(["export-osim", str(rig), str(model), str(tmp_path / "out"), "--linear", "thigh"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(
+        r"body thigh: scaled by 1\.\d+ 1\.\d+ 0\.9\d+ along x y z, .* mm rms from where the map takes it", printed
+    )
+
+
+def test_a_joint_in_a_frame_of_its_body_keeps_the_frame(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    """Offset frames among a body's components are no joint's own: they stay, and the bodies beyond stand by them."""
+    model, rig = carried
+    text = MODEL
+    moved = re.search(r'<PhysicalOffsetFrame name="cap_offset">.*?</PhysicalOffsetFrame>', text, re.DOTALL)
+    assert moved is not None
+    text = text.replace(moved[0], "").replace(
+        '<Body name="cap">', f'<Body name="cap"><components>{moved[0]}</components>'
+    )
+    text = text.replace("<socket_child_frame>cap_offset<", "<socket_child_frame>/bodyset/cap/cap_offset<")
+    model.write_text(text)
+    mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, tmp_path / "out" / "tiny.osim"))
+    before, after = old.multibody.places({}), new.multibody.places({})
+    (one,) = [point for point in old.points if point.body == "cap"]
+    (other,) = [point for point in new.points if point.body == "cap"]
+    meant = LINEAR @ before["cap"](one.at[None])[0] + SHIFT
+    np.testing.assert_allclose(after["cap"](other.at[None])[0], meant, atol=1e-6)

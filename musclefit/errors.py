@@ -33,3 +33,7 @@ class NotConvergedError(MusclefitError):
     def __init__(self, message: str, result: object) -> None:
         self.result = result
         super().__init__(message)
+
+    def __reduce__(self) -> tuple[type[NotConvergedError], tuple[str, object]]:
+        """So that it reaches the caller from a worker process as it is."""
+        return type(self), (str(self), self.result)

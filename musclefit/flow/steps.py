@@ -14,7 +14,8 @@ from musclefit.geometry.arrays import Float, Gradients, Points
 NEWTON_TOLERANCE_MM = 1e-11
 """An implicit step is solved when its equation holds to this at coordinates up to a metre (in proportion beyond)."""
 NEWTON_ROUNDING_MM = 2e-9
-"""What rounding may leave of it where iteration does not help: sums of r³ over bodies of metres cancel to 4e-10 mm."""
+"""What rounding may leave of it where iteration does not help, in the same proportion: sums of r³ over bodies of metres
+cancel to 4e-10 mm."""
 NEWTON_MAX_ITERATIONS = 30
 BRANCH_STEPS = 16
 """Strengths of the field through which a solution is followed where Newton's method alone does not find it."""
@@ -177,7 +178,8 @@ def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gr
     By Newton's method from the targets; where that leaves the place in which the map is strictly monotone, along the
     branch of solutions that begins at the target and grows with the field.
     """
-    tolerance = NEWTON_TOLERANCE_MM * max(1.0, float(np.abs(targets).max(initial=0.0)) / 1000.0)
+    metres = max(1.0, float(np.abs(targets).max(initial=0.0)) / 1000.0)
+    tolerance = NEWTON_TOLERANCE_MM * metres
     found = _descended(field, targets, targets, factor=factor, tolerance=tolerance)
     left = np.flatnonzero(found.residuals > tolerance)
     if left.size:
@@ -188,7 +190,7 @@ def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gr
         again = _descended(field, targets[left], start, factor=factor, tolerance=tolerance)
         for whole, better in zip(found, again, strict=True):
             whole[left] = better
-    unsolved = np.flatnonzero(found.residuals > max(tolerance, NEWTON_ROUNDING_MM))
+    unsolved = np.flatnonzero(found.residuals > NEWTON_ROUNDING_MM * metres)
     if not unsolved.size:
         return found.points, found.gradients
     worst = int(unsolved[np.argmax(found.residuals[unsolved])])

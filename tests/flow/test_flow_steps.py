@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -32,3 +34,21 @@ def test_a_step_that_flattens_space_cannot_be_undone_and_says_so():
     flat = RadialField("gaussian", 1.0, *(np.zeros((1, 3)),) * 2, np.zeros(3), np.diag([-1.0, 0, 0]), np.zeros(3), 0, 0)
     with pytest.raises(NotConvergedError, match="no solution at 2 of 3 points"):
         ExplicitStep(flat).inverse()(np.array([[0.0, 1.0, 2.0], [3.0, 1.0, 2.0], [-4.0, 0.0, 0.0]]))
+
+
+def test_steps_of_many_handles_are_solved_far_from_the_origin():
+    """Sums of r⁵ cancel; what rounding leaves of the equation grows with the coordinates, as its limit must."""
+    rng = np.random.default_rng(3)
+    middle = np.array([-1.6e5, 1.5e5, -1.8e5])
+    handles, points = (middle + 2e4 * rng.uniform(-1.0, 1.0, (count, 3)) for count in (110, 3000))
+    field = RadialBackend("isochoric-r5").fit(handles, 2000.0 * rng.normal(size=handles.shape))
+    strain = np.abs(np.linalg.eigvalsh(0.5 * (lambda g: g + g.swapaxes(1, 2))(field.gradient(points)))).max()
+    step = CayleyStep(field.scaled(1.5 / strain))
+    there = step(points)
+    np.testing.assert_allclose(there - points, step.field.displacement(0.5 * (there + points)), rtol=0, atol=1e-6)
+
+
+def test_the_error_of_an_unsolved_step_comes_whole_from_another_process():
+    again = pickle.loads(pickle.dumps(NotConvergedError("no solution at 2 points", np.array([1.0]))))
+    assert str(again) == "no solution at 2 points"
+    assert again.result.tolist() == [1.0]

@@ -64,13 +64,15 @@ class CorrectedField:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
         return self._with_local(*self.radial.gradient_bounds(centres, half_widths), centres, half_widths)
 
-    def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
-        """As ``gradient_bounds``, cheaper, and hardly wider where boxes are narrow for the local part's lattices."""
+    def gradient_and_spreads(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float, Float]:
+        """Gradients at the centres, and how far those of a box are from that, as matrices and by their strain.
+
+        Cheaper than ``gradient_bounds``, and not much wider where boxes are narrow for the local part's lattices.
+        """
         gradients, radii = self.radial.gradient_bounds(centres, half_widths)
-        more, spread = self.local.gradient_and_spread(centres, half_widths)
-        sums = gradients + more
-        rounding = ROUNDING * (np.abs(gradients) + np.abs(more)).sum(axis=(1, 2))
-        return sums, (radii + spread + rounding) * (1.0 + 1e-15)
+        more, spread, strained = self.local.gradient_and_spreads(centres, half_widths)
+        rounding = radii + ROUNDING * (np.abs(gradients) + np.abs(more)).sum(axis=(1, 2))
+        return gradients + more, (spread + rounding) * (1.0 + 1e-15), (strained + rounding) * (1.0 + 1e-15)
 
     def gradient_ball_bounds(self, centres: Points, radii: Float) -> tuple[Gradients, Float]:
         """As ``gradient_bounds``, over (B,) balls."""

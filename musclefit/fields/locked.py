@@ -50,10 +50,10 @@ class BoundedBase(Protocol):
 
 @runtime_checkable
 class QuicklyBounded(Protocol):
-    """A base field that has a cheaper enclosure of its gradient, which is as good for narrow boxes."""
+    """A base field that has a cheaper enclosure of its gradient, which is about as good for narrow boxes."""
 
-    def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
-        """As ``gradient_bounds``."""
+    def gradient_and_spreads(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float, Float]:
+        """As ``gradient_bounds``, and how far the eigenvalues of the strain get from those of the centres', (B,)."""
         ...
 
 
@@ -441,14 +441,19 @@ class LockedField:
     def _bare(self, boxes: _Boxes, *, quick: bool = False) -> _Bare:
         """What is proved of the base field over boxes that see it."""
         base, n = self.base, len(boxes.centres)
-        steep, spread = np.zeros((n, 3, 3)), np.zeros(n)
+        steep, spread, strained = np.zeros((n, 3, 3)), np.zeros(n), np.zeros(n)
         values, rounding = np.zeros((n, 3)), np.zeros(n)
         seen = np.flatnonzero(~boxes.whole)
         if seen.size:
-            bounds = base.gradient_and_spread if quick and isinstance(base, QuicklyBounded) else base.gradient_bounds
-            found = bounds(np.ascontiguousarray(boxes.centres[seen]), np.ascontiguousarray(boxes.half_widths[seen]))
-            known: Bool = np.asarray(np.isfinite(found[0]).all(axis=(1, 2)), dtype=np.bool_)
-            steep[seen], spread[seen] = np.where(known[:, None, None], found[0], 0.0), np.where(known, found[1], np.inf)
+            here, half = np.ascontiguousarray(boxes.centres[seen]), np.ascontiguousarray(boxes.half_widths[seen])
+            if quick and isinstance(base, QuicklyBounded):
+                gradients, wide, by_strain = base.gradient_and_spreads(here, half)
+            else:
+                gradients, wide = base.gradient_bounds(here, half)
+                by_strain = wide
+            known: Bool = np.asarray(np.isfinite(gradients).all(axis=(1, 2)), dtype=np.bool_)
+            steep[seen] = np.where(known[:, None, None], gradients, 0.0)
+            spread[seen], strained[seen] = np.where(known, wide, np.inf), np.where(known, by_strain, np.inf)
         touched = np.flatnonzero(~boxes.whole & ~boxes.bare)
         if touched.size:
             # bounds of the base's value at the centres carry its own rounding
@@ -457,15 +462,16 @@ class LockedField:
             places = np.ascontiguousarray(boxes.centres[touched])
             values[touched], off = base.displacement_bounds(places, np.zeros_like(places))
             rounding[touched] = off.max(axis=1, initial=0.0)
-        return _Bare(steep, spread, values, rounding)
+        return _Bare(steep, spread, strained, values, rounding)
 
     def _enclosed(self, boxes: _Boxes, bare: _Bare, *, strain: bool = False) -> tuple[Gradients, Float]:
         """Gradients at the centres of boxes, and how far they get from them, or how far only their strain gets.
 
         With c the centre, e = A_k - B and D' the gradient of the field, D' - D'(c) is the sum of (1 - W)(B' - B'(c)),
-        (w_k - w_k(c))(A_k' - B'(c)), (e - e(c)) w_k' and e(c)(w_k' - w_k'(c)) over all k, W the sum of all w_k.
+        (w_k - w_k(c))(A_k' - B'(c)), (e - e(c)) w_k' and e(c)(w_k' - w_k'(c)) over all k, W the sum of all w_k. There
+        e - e(c) is (A_k' - B'(c)) d at d from the centre, beside what B' varies by.
         """
-        gradients, radii = np.array(bare.steep), np.array(bare.spread)
+        gradients, radii = np.array(bare.steep), np.array(bare.strained if strain else bare.spread)
         for k, lock in enumerate(self.locks):
             gradients[boxes.own == k] = lock.linear
         touched = np.flatnonzero(~boxes.whole & ~boxes.bare)
@@ -473,7 +479,7 @@ class LockedField:
             part, found = boxes.only(touched), bare.only(touched)
             reach = np.linalg.norm(part.half_widths, axis=1) * (1.0 + 1e-14)
             total, wide = np.array(found.steep), found.spread
-            off = part.most_left() * wide
+            off = part.most_left() * (found.strained if strain else wide)
             for lock, weight in zip(self.locks, part.weights, strict=True):
                 some, jets = weight.places, weight.jets
                 here, steep, unsure = part.centres[some], found.steep[some], found.rounding[some]
@@ -483,8 +489,13 @@ class LockedField:
                 total[some] += jets.value[:, None, None] * turned + apart[:, :, None] * jets.slope[:, None, :]
                 length = np.linalg.norm(apart, axis=1) + unsure
                 varied = np.minimum(jets.varied(), jets.steep * reach[some] + 1e-14)
-                turned_by = jets.sheared(apart, unsure) if strain else length * jets.off
-                more = varied * size + _times((size + wide[some]) * reach[some], jets.steep) + turned_by
+                spread = np.linalg.norm(np.einsum("bij,bj->bi", np.abs(turned), part.half_widths[some]), axis=1)
+                more = _times(wide[some] * reach[some], jets.steep)
+                if strain:
+                    more += varied * _strain_size(turned) + jets.sheared(apart, unsure)
+                    more += jets.sheared_by(turned, part.half_widths[some], spread)
+                else:
+                    more += varied * size + _times(spread, jets.steep) + length * jets.off
                 scale = np.abs(here).sum(axis=1) * np.abs(lock.linear).sum() + np.abs(lock.translation).sum()
                 more += _times(unsure + ROUNDING * scale, jets.steep)
                 off[some] += more + ROUNDING * (size + length * jets.steep)
@@ -542,17 +553,18 @@ def _whole(held: Sequence[_Held], count: int) -> Bool:
 class _Bare:
     """What is proved of the base field over boxes; nothing where one bone is whole.
 
-    Its gradient (B, 3, 3) at the centres and how far it gets from that; its value (B, 3) at the centres and what
-    rounding that may be off by.
+    Its gradient (B, 3, 3) at the centres, how far it gets from that, and how far its strain does; its value (B, 3) at
+    the centres and what rounding that may be off by.
     """
 
     steep: Gradients
     spread: Float
+    strained: Float
     values: Points
     rounding: Float
 
     def only(self, kept: Int) -> _Bare:
-        return _Bare(self.steep[kept], self.spread[kept], self.values[kept], self.rounding[kept])
+        return _Bare(*(a[kept] for a in (self.steep, self.spread, self.strained, self.values, self.rounding)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -605,6 +617,12 @@ class _Boxes:
             least[weight.places] = np.maximum(least[weight.places], weight.jets.low)
         left: Float = 1.0 - least + 1e-14
         return left
+
+
+def _strain_size(matrices: Gradients) -> Float:
+    """(B,) at least the largest size of the eigenvalues of the symmetric parts."""
+    size: Float = 0.5 * np.linalg.norm(matrices + matrices.transpose(0, 2, 1), axis=(1, 2)) * (1.0 + 1e-13)
+    return size
 
 
 def _some_at_once(

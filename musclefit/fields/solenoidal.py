@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from musclefit.errors import FieldError
 from musclefit.fields.enclosures import solenoidal as solenoidal_bounds
-from musclefit.fields.enclosures.cell_bounds import BEND, GRADIENT, KINDS, STRAIN, Ceilings
+from musclefit.fields.enclosures.cell_bounds import BEND, GRADIENT, KINDS, STRAIN, STRAIN_BEND, Ceilings
 from musclefit.fields.evaluation import potentials
 from musclefit.geometry.arrays import Float, Gradients, Int, Points, frozen
 
@@ -127,10 +127,10 @@ class SolenoidalField:
         return replace(self, levels=self.levels + other.levels)
 
     def ceilings(self, centres: Points, half_widths: Float) -> Float:
-        """(B, 3) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
+        """(B, 4) proved ceilings over boxes, of centres and half widths (B, 3) mm, that are cheap to have.
 
-        Of the gradient's Frobenius norm, of its symmetric part's eigenvalues, and of the Frobenius norm of its
-        derivatives, per mm; 0 where the field is.
+        Of the gradient's Frobenius norm, of its symmetric part's eigenvalues, of the Frobenius norm of its derivatives,
+        per mm, and of the eigenvalues of its symmetric part's along any direction, per mm; 0 where the field is.
         """
         where = _accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
@@ -183,18 +183,21 @@ class SolenoidalField:
             sums[some], found[some] = parts, bounds
         return sums, found
 
-    def gradient_and_spread(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
-        """Gradients at the centres of boxes (B, 3, 3), and how far no gradient of a box is from that, in every norm.
+    def gradient_and_spreads(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float, Float]:
+        """Gradients at the centres of boxes (B, 3, 3), and how far those of a box are from that.
 
-        Cheaper than ``bounds_with``, and hardly wider where boxes are narrow for the lattices.
+        First as matrices, in every norm, then by the eigenvalues of their symmetric parts, (B,) each. Cheaper than
+        ``bounds_with``, and not much wider where boxes are narrow for the lattices.
         """
         where = _accepted(centres)
         half_widths = np.broadcast_to(half_widths, where.shape)
         reach = np.linalg.norm(half_widths, axis=1) * (1.0 + 1e-14)
-        found = self.ceilings(where, half_widths)
-        most = 2.0 * found[:, GRADIENT]
-        spread = np.where(reach > 0.0, np.minimum(most, found[:, BEND] * reach), 0.0)
-        return self.gradient(where), (spread + self._gradient_rounding(where)) * (1.0 + 1e-14)
+        found, rounding = self.ceilings(where, half_widths), self._gradient_rounding(where)
+        spreads = [
+            np.where(reach > 0.0, np.minimum(2.0 * found[:, most], found[:, bend] * reach), 0.0) + rounding
+            for most, bend in ((GRADIENT, BEND), (STRAIN, STRAIN_BEND))
+        ]
+        return self.gradient(where), spreads[0] * (1.0 + 1e-14), spreads[1] * (1.0 + 1e-14)
 
     def _gradient_rounding(self, points: Points) -> Float:
         """(B,) how far computed gradients may be off, in the Frobenius norm, as in `solenoidal_bounds`."""
@@ -226,7 +229,7 @@ class SolenoidalField:
         )
 
     def _by_level(self, centres: Points, half_widths: Float) -> Float:
-        """(L, B, 3) the ceilings of each level."""
+        """(L, B, 4) the ceilings of each level."""
         found = np.zeros((len(self.levels), len(centres), KINDS))
         for level, own in zip(self._ceilings, found, strict=True):
             level.add_over(centres, half_widths, own)

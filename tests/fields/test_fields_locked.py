@@ -244,3 +244,28 @@ def test_weights_change_no_faster_than_what_they_fade_over():
 def test_a_lattice_too_wide_for_the_lock_is_refused(over, apart):
     with pytest.raises(FieldError, match=r"take a narrower lattice"):
         LockSettings(0.8, Fade(over, apart))
+
+
+@pytest.mark.parametrize("half", [0.02, 0.2, 0.7, 3.0])
+def test_ranges_of_smooth_distances_hold_and_are_close(half):
+    """Over boxes across cells of the lattice and within them, and deep in the bone, where nothing varies."""
+    near = BoneLocks.around([UPPER], [LockSettings(0.8, FADE)]).near[0]
+    rng = np.random.default_rng(int(100 * half))
+    centres = UPPER.vertices[rng.integers(len(UPPER.vertices), size=200)] + rng.normal(0.0, 1.5, (200, 3))
+    centres[:40] = near.low + near.spacing_mm * (np.round((centres[:40] - near.low) / near.spacing_mm) - 0.5)
+    halves = half * rng.uniform(0.3, 1.0, (200, 3))
+    inside = np.concatenate([np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0, rng.uniform(-1.0, 1.0, (400, 3))])
+    values, slopes = near.at((centres[:, None] + halves[:, None] * inside).reshape(-1, 3))
+    values, slopes = values.reshape(200, -1), slopes.reshape(200, -1, 3)
+    at_centres = near.at(centres)[1]
+    ranges, steep = near.ranges(centres, halves), near.slope_ranges(centres, halves, at_centres)
+    assert (ranges[:, 0] <= values.min(axis=1) + 1e-12).all()
+    assert (values.max(axis=1) <= ranges[:, 1] + 1e-12).all()
+    turned = np.linalg.norm(slopes - at_centres[:, None], axis=2).max(axis=1)
+    assert (np.linalg.norm(slopes, axis=2).max(axis=1) <= steep[:, 0] + 1e-12).all()
+    assert (turned <= steep[:, 1] + 1e-12).all()
+    varied = np.ptp(values, axis=1)
+    if half < 1.0:
+        some = varied > 0.0
+        assert np.median(np.ptp(ranges[some], axis=1) / varied[some]) < 1.1
+        assert np.median(steep[some, 1] / turned[some]) < 1.4

@@ -117,7 +117,7 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
     rng = np.random.default_rng(int(scale * 1000))
     centres, halves = rng.uniform(-20.0, 20.0, (150, 3)), scale * rng.uniform(0.1, 1.0, (150, 3))
     gradients, radii = field.gradient_bounds(centres, halves)
-    sums, spread = field.gradient_and_spread(centres, halves)
+    sums, spread, strained = field.gradient_and_spreads(centres, halves)
     ranges, _ = field.strain_bounds(centres, halves, enough=(np.inf, -np.inf))
     quick, _ = field.strain_bounds(centres, halves, enough=(-np.inf, np.inf))
     values, off = field.displacement_bounds(centres, halves)
@@ -130,6 +130,8 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
         strains = np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))
         assert apart <= radii[box]
         assert np.linalg.norm(slopes - sums[box], axis=(1, 2)).max() <= spread[box]
+        bent = slopes - sums[box]
+        assert np.abs(np.linalg.eigvalsh(0.5 * (bent + bent.transpose(0, 2, 1)))).max() <= strained[box]
         assert ranges[box, 0] <= strains.min()
         assert strains.max() <= ranges[box, 1]
         assert quick[box, 0] <= strains.min()
@@ -138,6 +140,7 @@ def test_nothing_escapes_the_bounds_over_boxes(scale):
         tight.append(np.ptp(strains) / np.ptp(ranges[box]))
     np.testing.assert_allclose(sums, gradients, rtol=0, atol=1e-9)
     assert np.median(spread / radii) < 6.0  # it is quick, and no more than some times as wide
+    assert np.median(strained / spread) < 0.8
     assert np.mean(tight) > {1e-3: 0.9, 0.5: 0.7, 3.0: 0.3, 8.0: 0.01}[scale]
 
 
@@ -154,10 +157,11 @@ def test_nothing_escapes_the_ceilings(scale):
         inside = rng.uniform(-1.0, 1.0, (200, 3))
         places = centres[box] + halves[box] * np.sign(inside) * np.abs(inside) ** 0.3
         slopes = field.gradient(places)
-        bends = np.linalg.norm(slopes[::2] - slopes[1::2], axis=(1, 2)) / np.linalg.norm(
-            places[::2] - places[1::2], axis=1
-        )
+        turned, lengths = slopes[::2] - slopes[1::2], np.linalg.norm(places[::2] - places[1::2], axis=1)
+        bends = np.linalg.norm(turned, axis=(1, 2)) / lengths
         assert bends.max() <= ceilings[box, 2] + 1e-12
+        strains = np.abs(np.linalg.eigvalsh(0.5 * (turned + turned.transpose(0, 2, 1)))).max(axis=1) / lengths
+        assert strains.max() <= ceilings[box, 3] + 1e-12
         bent = max(bent, bends.max() / max(ceilings[box, 2], 1e-300))
         strains = np.abs(np.linalg.eigvalsh(0.5 * (slopes + slopes.transpose(0, 2, 1)))).max()
         assert np.linalg.norm(slopes, axis=(1, 2)).max() <= ceilings[box, 0]

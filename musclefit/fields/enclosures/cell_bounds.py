@@ -18,11 +18,12 @@ from musclefit.fields.enclosures.bernstein import derivative_matrix, value_matri
 from musclefit.fields.enclosures.solenoidal import ROUNDING, curvature_matrix
 from musclefit.geometry.arrays import Float, Int, Points
 
-GRADIENT, STRAIN, BEND = 0, 1, 2
-"""Ceilings of the gradient's Frobenius norm, of the strain's eigenvalues, and of the Frobenius norm of the gradient's
-derivatives, per mm: no two gradients differ by more than that times their distance."""
+GRADIENT, STRAIN, BEND, STRAIN_BEND = 0, 1, 2, 3
+"""Ceilings of the gradient's Frobenius norm, of the strain's eigenvalues, of the Frobenius norm of the gradient's
+derivatives, per mm, and of the eigenvalues of the strain's along any direction: no two gradients, and no two strains,
+differ by more than that times their distance."""
 
-KINDS = 3
+KINDS = 4
 
 LOOKED_AT = 4
 """Blocks along each axis that a box is looked up in at most; wider boxes take wider blocks."""
@@ -40,7 +41,7 @@ class Ceilings:
         The lattice's first point.
     spacing_mm : float
     flat : (n,) float32
-        All ceilings: the cells' (3, m0, m1, m2), then those of wider and wider blocks.
+        All ceilings: the cells' (4, m0, m1, m2), then those of wider and wider blocks.
     starts : (h,) int64
         Where each of these begins.
     shapes : (h, 3) int64
@@ -70,7 +71,7 @@ class Ceilings:
         return cls(low, spacing, np.concatenate([blocks.ravel() for blocks in pyramid]), starts, shapes)
 
     def add_over(self, centres: Points, half_widths: Float, out: Float) -> None:
-        """Add those over (B,) boxes to ``out`` (B, 3): see ``GRADIENT``, ``STRAIN`` and ``BEND``."""
+        """Add those over (B,) boxes to ``out`` (B, 4): see ``GRADIENT`` and the others."""
         _look_up(self.low, self.spacing_mm, self.flat, self.starts, self.shapes, centres, half_widths, out)
 
 
@@ -146,10 +147,10 @@ def _largest(size, eight):
 
 
 @njit(cache=True)
-def _norms(hull, size, eight, found):
-    """The largest squares of the gradient's and the strain's Frobenius norm, and of that of the derivatives.
+def _norms(hull, size, strained, eight, found):
+    """The largest squares of the gradient's and the strain's Frobenius norm, and of those of their derivatives.
 
-    The last in units of the spacing: along an axis differences of neighbouring Bernstein coefficients span it, times
+    These in units of the spacing: along an axis differences of neighbouring Bernstein coefficients span it, times
     the degree, 3.
     """
     size[:] = 0.0
@@ -162,16 +163,24 @@ def _norms(hull, size, eight, found):
         d, e, f = hull[1, lane] + hull[3, lane], hull[2, lane] + hull[6, lane], hull[5, lane] + hull[7, lane]
         size[lane] = own + 0.5 * (d * d + e * e + f * f)
     found[1] = _largest(size, eight)
-    found[2] = 0.0
+    found[2], found[3] = 0.0, 0.0
     for stride in (1, 4, 16):
-        size[:] = 0.0
-        for row in range(9):
-            for lane in range(64 - stride):
-                step = hull[row, lane + stride] - hull[row, lane]
-                size[lane] += step * step
+        size[:], strained[:] = 0.0, 0.0
+        for lane in range(64 - stride):
+            to = lane + stride
+            xx, yy, zz = hull[0, to] - hull[0, lane], hull[4, to] - hull[4, lane], hull[8, to] - hull[8, lane]
+            xy, yx = hull[1, to] - hull[1, lane], hull[3, to] - hull[3, lane]
+            xz, zx = hull[2, to] - hull[2, lane], hull[6, to] - hull[6, lane]
+            yz, zy = hull[5, to] - hull[5, lane], hull[7, to] - hull[7, lane]
+            own = xx * xx + yy * yy + zz * zz
+            size[lane] = own + xy * xy + yx * yx + xz * xz + zx * zx + yz * yz + zy * zy
+            d, e, f = xy + yx, xz + zx, yz + zy
+            strained[lane] = own + 0.5 * (d * d + e * e + f * f)
         for last in range(3 * stride, 64, 4 * stride):  # those have no neighbour
             size[last : last + stride] = 0.0
+            strained[last : last + stride] = 0.0
         found[2] += 9.0 * _largest(size, eight)
+        found[3] += 9.0 * _largest(strained, eight)
 
 
 @njit(cache=True)
@@ -187,8 +196,8 @@ def _whole_cell():
 @threaded(over="cells", axis=1)
 def _fill_cells(begin, end, low, spacing, numbers, coefficients, cells):
     whole, slabs, largest = _whole_cell(), np.zeros((4, 3, 3, 3, 16)), np.zeros(4)
-    flat, once, hull, found = np.zeros((3, 16)), np.zeros(16), np.zeros((9, 64)), np.zeros(3)
-    size, eight = np.zeros(64), np.zeros(8)
+    flat, once, hull, found = np.zeros((3, 16)), np.zeros(16), np.zeros((9, 64)), np.zeros(4)
+    size, strained, eight = np.zeros(64), np.zeros(64), np.zeros(8)
     unit = 1.0 / (spacing * spacing)
     for i in range(begin, end):
         for j in range(cells.shape[2]):
@@ -205,11 +214,13 @@ def _fill_cells(begin, end, low, spacing, numbers, coefficients, cells):
                     reach = max(reach, abs(start), abs(start + spacing), abs(low[axis]))
                 rounding = ROUNDING * most * (1.0 + 2.0 * reach / spacing)
                 _cell_hull(whole, slabs, k, hull)
-                _norms(hull, size, eight, found)
+                _norms(hull, size, strained, eight, found)
                 # 1.000001: of the norms, and of single precision.
                 cells[0, i, j, k] = unit * (np.sqrt(found[0]) + 4.0 * rounding) * 1.000001
                 cells[1, i, j, k] = unit * (np.sqrt(2.0 / 3.0 * found[1]) + 4.0 * rounding) * 1.000001
                 cells[2, i, j, k] = unit * (np.sqrt(found[2]) + 24.0 * rounding) / spacing * 1.000001
+                bend = np.sqrt(2.0 / 3.0 * found[3]) + 24.0 * rounding
+                cells[3, i, j, k] = unit * bend / spacing * 1.000001
 
 
 @threaded(over="above", axis=1)

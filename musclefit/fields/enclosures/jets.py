@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from musclefit.geometry.arrays import Bool, Float, Int, Points
+from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points
 
 SLACK = 1.0 + 1e-12
 """What rounding may add to a length."""
@@ -85,6 +85,26 @@ class Jets:
             with_it = np.abs(np.einsum("bi,bi->b", vectors, turn.along))
             total = total + (0.5 * (length + with_it) * SLACK + slack) * turn.most
         return total
+
+    def sheared_by(self, matrices: Gradients, half_widths: Float, most: Float) -> Float:
+        r"""(B,) the largest eigenvalues of the strain of :math:`M d \otimes \nabla f`, d from the centre of a box.
+
+        As in `sheared`: of vectors v and n they are :math:`(v n ± |v||n|) / 2`, so half as large where both are normal
+        to one another.
+
+        Parameters
+        ----------
+        matrices : (B, 3, 3) float64
+            M
+        half_widths : (B, 3) float64, mm
+        most : (B,) float64
+            At least as long as any M d.
+        """
+        along = np.abs(np.einsum("bij,bi->bj", matrices, self.slope))
+        with_it = np.einsum("bj,bj->b", along, half_widths) + _where(most > 0.0, most, self.off)
+        alone = _where(most > 0.0, most, self.steep)
+        sheared: Float = 0.5 * (alone + np.minimum(with_it, alone)) * SLACK
+        return sheared
 
     def widened(self) -> Self:
         """With values as computed, which rounding has put off."""

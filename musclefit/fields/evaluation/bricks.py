@@ -28,6 +28,9 @@ NOTHING, WHOLE = -1, -2
 DIRECT = 12
 """Nodes along each axis over which a box is bounded one by one; wider boxes take whole bricks."""
 
+PIECES = 18
+"""Cells that a box reaches into in which the sum is bounded as the polynomial that it is."""
+
 BLOCK = 256
 
 
@@ -147,8 +150,11 @@ def brick_ranges(begin, end, values, out):
 
 
 @njit(cache=True)
-def _nodes_seen(low, h, size, centre, half, first, last):
-    """Write the first and last node (3,) that a box sees; the nodes along its longest side, 0 beside the lattice."""
+def _nodes_seen(low, h, size, centre, half, span, first, last):
+    """Write where a box begins and ends (3, 2), in nodes, and the first and last node (3,) that it sees.
+
+    Gives the nodes along its longest side, 0 beside the lattice.
+    """
     wide, beside = 0, False
     for axis in range(3):
         slack = 1e-12 * (abs(centre[axis]) + abs(low[axis]) + half[axis]) / h + 1e-12
@@ -158,6 +164,7 @@ def _nodes_seen(low, h, size, centre, half, first, last):
         if not (v >= -0.5 and u <= nodes - 0.5):
             beside = True
         u, v = min(max(u, -2.0), nodes + 2.0), min(max(v, -2.0), nodes + 2.0)
+        span[axis, 0], span[axis, 1] = u, v
         first[axis], last[axis] = int(np.floor(u + 0.5)) - 1, int(np.floor(v + 0.5)) + 1
         wide = max(wide, last[axis] - first[axis] + 1)
     return 0 if beside and np.isfinite(centre.sum() + half.sum()) else wide
@@ -186,6 +193,80 @@ def _gathered(bricks, values, first, last, here):
                     for at in range(k, end):
                         to[at - first[2]] = values[row, start + at - k]
                 k = end
+
+
+@njit(inline="always")
+def _bernstein(u, v, cell, m, d):
+    """What turns a cell's three values into Bernstein coefficients on its part from u to v, of values and slopes.
+
+    Quadratic B-splines by their polar form, (3, 3), and their derivatives per cell, linear, at both ends (2, 3).
+    """
+    s, t = max(u - cell + 0.5, 0.0), min(v - cell + 0.5, 1.0)
+    m[0, 0], m[0, 2] = 0.5 * (1.0 - s) * (1.0 - s), 0.5 * s * s
+    m[1, 0], m[1, 2] = 0.5 * (1.0 - s) * (1.0 - t), 0.5 * s * t
+    m[2, 0], m[2, 2] = 0.5 * (1.0 - t) * (1.0 - t), 0.5 * t * t
+    for k in range(3):
+        m[k, 1] = 1.0 - m[k, 0] - m[k, 2]
+    d[0, 0], d[0, 1], d[0, 2] = s - 1.0, 1.0 - 2.0 * s, s
+    d[1, 0], d[1, 1], d[1, 2] = t - 1.0, 1.0 - 2.0 * t, t
+
+
+@njit(inline="always")
+def _combined(x, y, z, i, j, k, here, a, b, c):
+    """One Bernstein coefficient: rows i, j, k of (·, 3) matrices x, y, z on the values around a cell."""
+    total = 0.0
+    for p in range(3):
+        for q in range(3):
+            along = z[k, 0] * here[a + p, b + q, c] + z[k, 1] * here[a + p, b + q, c + 1]
+            total += x[i, p] * y[j, q] * (along + z[k, 2] * here[a + p, b + q, c + 2])
+    return total
+
+
+@njit(cache=True)
+def _value_range(here, first, last, span, m, d):
+    """Lowest and highest sum over a box, by the Bernstein coefficients of each cell that it reaches into."""
+    least, most = np.inf, -np.inf
+    for a in range(first[0] + 1, last[0]):
+        _bernstein(span[0, 0], span[0, 1], a, m[0], d[0])
+        for b in range(first[1] + 1, last[1]):
+            _bernstein(span[1, 0], span[1, 1], b, m[1], d[1])
+            for c in range(first[2] + 1, last[2]):
+                _bernstein(span[2, 0], span[2, 1], c, m[2], d[2])
+                at = (a - 1 - first[0], b - 1 - first[1], c - 1 - first[2])
+                for i in range(3):
+                    for j in range(3):
+                        for k in range(3):
+                            value = _combined(m[0], m[1], m[2], i, j, k, here, at[0], at[1], at[2])
+                            least, most = min(least, value), max(most, value)
+    return least, most
+
+
+@njit(cache=True)
+def _slope_range(here, first, last, span, m, d, lows, highs):
+    """Write the extreme slopes (3,) per cell over a box, as `_value_range`."""
+    lows[:], highs[:] = np.inf, -np.inf
+    for a in range(first[0] + 1, last[0]):
+        _bernstein(span[0, 0], span[0, 1], a, m[0], d[0])
+        for b in range(first[1] + 1, last[1]):
+            _bernstein(span[1, 0], span[1, 1], b, m[1], d[1])
+            for c in range(first[2] + 1, last[2]):
+                _bernstein(span[2, 0], span[2, 1], c, m[2], d[2])
+                at = (a - 1 - first[0], b - 1 - first[1], c - 1 - first[2])
+                for i in range(3):
+                    for j in range(3):
+                        for k in range(2):
+                            x = _combined(d[0], m[1], m[2], k, i, j, here, at[0], at[1], at[2])
+                            y = _combined(m[0], d[1], m[2], i, k, j, here, at[0], at[1], at[2])
+                            z = _combined(m[0], m[1], d[2], i, j, k, here, at[0], at[1], at[2])
+                            lows[0], highs[0] = min(lows[0], x), max(highs[0], x)
+                            lows[1], highs[1] = min(lows[1], y), max(highs[1], y)
+                            lows[2], highs[2] = min(lows[2], z), max(highs[2], z)
+
+
+@njit(inline="always")
+def _pieces(first, last):
+    """How many cells a box reaches into."""
+    return (last[0] - first[0] - 1) * (last[1] - first[1] - 1) * (last[2] - first[2] - 1)
 
 
 @njit(cache=True)
@@ -219,8 +300,9 @@ def value_ranges(begin, end, low, h, bricks, values, ranges, centres, half_width
     """
     first, last, highs = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3)
     here = np.zeros((DIRECT, DIRECT, DIRECT), np.int32)
+    span, splines, slopes = np.zeros((3, 2)), np.zeros((3, 3, 3)), np.zeros((3, 2, 3))
     for box in range(begin, end):
-        wide = _nodes_seen(low, h, bricks.shape, centres[box], half_widths[box], first, last)
+        wide = _nodes_seen(low, h, bricks.shape, centres[box], half_widths[box], span, first, last)
         if wide == 0:
             out[box, 0] = out[box, 1] = 0.0
             continue
@@ -234,6 +316,10 @@ def value_ranges(begin, end, low, h, bricks, values, ranges, centres, half_width
                         v = here[i, j, k]
                         least, most = min(least, v), max(most, v)
         out[box, 0], out[box, 1] = least / 65535.0, most / 65535.0
+        if wide <= DIRECT and least < most and _pieces(first, last) <= PIECES:
+            lowest, highest = _value_range(here, first, last, span, splines, slopes)
+            out[box, 0] = max(out[box, 0], lowest / 65535.0 - 1e-13)
+            out[box, 1] = min(out[box, 1], highest / 65535.0 + 1e-13)
 
 
 @njit(cache=True)
@@ -283,8 +369,9 @@ def slope_ranges(begin, end, low, h, bricks, values, ranges, centres, half_width
     first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)
     m, lows, highs = np.zeros(3, np.int64), np.zeros(3), np.zeros(3)
     here = np.zeros((DIRECT, DIRECT, DIRECT), np.int32)
+    span, splines, slopes = np.zeros((3, 2)), np.zeros((3, 3, 3)), np.zeros((3, 2, 3))
     for box in range(begin, end):
-        wide = _nodes_seen(low, h, bricks.shape, centres[box], half_widths[box], first, last)
+        wide = _nodes_seen(low, h, bricks.shape, centres[box], half_widths[box], span, first, last)
         if wide == 0:
             out[box, 0] = out[box, 1] = 0.0
             continue
@@ -296,6 +383,8 @@ def slope_ranges(begin, end, low, h, bricks, values, ranges, centres, half_width
             squares = _differences(here, m, lows, highs)
             reach = np.sqrt((half_widths[box] ** 2).sum())
             bend = np.sqrt(squares) / (65535.0 * h * h) * reach
+            if squares > 0.0 and _pieces(first, last) <= PIECES:
+                _slope_range(here, first, last, span, splines, slopes, lows, highs)
         else:
             _over_bricks(bricks, ranges, first, last, highs)
             for axis in range(3):

@@ -41,8 +41,9 @@ SCALES = {
     "isochoric-r3-mollified": 8.0,
     "isochoric-wendland-c6": 120.0,
 }
-CAMPAIGN = 36
-FULL_CAMPAIGN = 520
+CAMPAIGN = 22
+"""Every kernel with both kinds of last step."""
+FULL_CAMPAIGN = range(36, 556)
 
 
 def affine(linear: np.ndarray) -> RadialField:
@@ -92,11 +93,10 @@ def test_a_campaign_of_random_maps_survives_attack() -> None:
 
 @pytest.mark.slow
 def test_the_full_campaign_of_random_maps_survives_attack(capsys: pytest.CaptureFixture[str]) -> None:
-    seeds = range(CAMPAIGN, CAMPAIGN + FULL_CAMPAIGN)
-    tally = campaign(map(configuration, seeds), max_boxes=60_000, optimise=True)
+    tally = campaign(map(configuration, FULL_CAMPAIGN), max_boxes=60_000, optimise=True)
     with capsys.disabled():
         print(f"\nradial fields, {tally}")
-    tally.require_a_sound_mixture(FULL_CAMPAIGN)
+    tally.require_a_sound_mixture(len(FULL_CAMPAIGN))
 
 
 @pytest.mark.parametrize("kind", [E, C])

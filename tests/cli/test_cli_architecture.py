@@ -153,7 +153,8 @@ def test_streamlines_that_are_known_take_the_place_of_the_flow(
     (data,) = rows(tmp_path / "data" / "muscles.csv")
     assert (flow["fibres"], flow["data_share"]) == ("flow", "")
     assert data["fibres"] == "streamlines of fibres.vtk"
-    assert float(data["path_mm"]) == pytest.approx(float(flow["path_mm"]), rel=0.03)
+    # Ends that stand out of the surface, by no more than the tets do, are cut: 2 to 3 % of these fibres.
+    assert 0.95 < float(data["path_mm"]) / float(flow["path_mm"]) < 1.005
     assert data["fibre_mm"] == data["path_mm"]
     assert float(data["data_share"]) > 0.9
     (carried,) = rows(tmp_path / "data" / "carried.csv")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tarfile
+import tomllib
 import zipfile
 from email import message_from_bytes
 from pathlib import Path
@@ -50,3 +51,14 @@ def test_the_source_holds_what_builds_and_tests_it(tmp_path: Path) -> None:
     wanted = files_below("musclefit", "rigs", "tests", "examples") | {"README.md", "LICENSE", "pyproject.toml"}
     assert held - wanted <= {".gitignore", "PKG-INFO"}
     assert wanted <= held
+
+
+def test_the_version_has_its_changes_and_the_readme_says_how_to_cite_it() -> None:
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    changes = Path("examples/docs/changes.md").read_text(encoding="utf-8")
+    assert changes.splitlines()[2] == f"## {project['version']}"
+    citation = Path("README.md").read_text(encoding="utf-8").partition("## Citation\n")[2]
+    assert f"`{project['name']}`" in citation
+    assert project["license"] in citation
+    assert "BibTeX" in citation
+    assert len(Path("README.md").read_text(encoding="utf-8").splitlines()) <= 150

@@ -144,6 +144,23 @@ def test_tables_are_sorted_and_filtered(browser, written):
         assert "11 of 44 rows" in tools.inner_text()
 
 
+def test_a_section_goes_through_the_middle_of_what_is_shown_until_it_is_moved(browser, written):
+    def place(page):
+        return float(page.inner_text("#section-said").split()[0])
+
+    with page_of(browser, written()) as page:
+        page.check("#section-on")
+        page.select_option("#section-axis", "1")
+        page.select_option("#left", "none")
+        result = place(page)
+        page.select_option("#right", "0")
+        assert result - place(page) == pytest.approx(5.0, abs=0.3)
+        page.locator("#section-at").fill("12")
+        by_hand = place(page)
+        page.select_option("#right", "1")
+        assert place(page) == by_hand != result
+
+
 def test_dark_light_phone_and_print(browser, written):
     path = written()
     shade = "() => getComputedStyle(document.querySelector('main')).backgroundColor"
@@ -156,6 +173,8 @@ def test_dark_light_phone_and_print(browser, written):
         assert heads.index("Result") < heads.index("Paper's loop") < heads.index("One shot")
         right = page.evaluate("() => document.querySelector('table.summary td.side').getBoundingClientRect().right")
         assert right <= 390
+        wide = page.evaluate("() => document.querySelector('figure.story-picture img').getBoundingClientRect().width")
+        assert wide > 900, "four panels side by side are scrolled, not shrunk"
     with page_of(browser, path) as page:
         assert page.evaluate(shade) == "rgb(255, 255, 255)"
         narrowest = "() => Math.min(...[...document.querySelectorAll('td.name')].map((c) => c.offsetWidth || 999))"

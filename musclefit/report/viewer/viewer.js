@@ -457,7 +457,18 @@
     sides.forEach(look);
     draw();
   }
+  // Through the middle of what is shown, until it is moved by hand.
+  let placed = false;
+  function halve() {
+    if (placed || !$("section-on").checked) return;
+    const axis = Number($("section-axis").value), low = all.min.getComponent(axis), size = all.max.getComponent(axis) - low;
+    const box = boxOf(scene.tissues.map((t) => t.name));
+    if (size > 0 && !box.isEmpty()) $("section-at").value = String(Math.round((100 * (box.min.getComponent(axis) + box.max.getComponent(axis) - 2 * low)) / size) / 2);
+  }
+  $("section-at").addEventListener("input", () => { placed = true; });
+  for (const id of ["section-on", "section-axis"]) $(id).addEventListener("input", halve);
   for (const id of ["section-on", "section-axis", "section-at", "section-flip"]) $(id).addEventListener("input", section);
+  for (const select of [left, right]) select.addEventListener("change", () => { halve(); section(); });
 
   const kinds = [...new Set(scene.tissues.map((t) => t.kind))];
   const boxes = [];

@@ -99,8 +99,9 @@ def write_case(out: Path, outcome: CaseOutcome, cost: CaseCost) -> None:
 
 
 def read_case(out: Path, name: str) -> CaseOutcome | None:
-    """What came of a case; None where it is not there whole."""
-    return _read(_OUTCOME, case_folder(out, name) / CASE)
+    """What came of a case; None where it is not there whole, or is of another case."""
+    found = _read(_OUTCOME, case_folder(out, name) / CASE)
+    return found if found is not None and found.name == name else None
 
 
 def read_cost(out: Path, name: str) -> CaseCost | None:

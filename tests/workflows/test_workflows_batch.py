@@ -289,3 +289,17 @@ def test_cases_named_out_of_the_folder_are_refused(tmp_path: Path, name: str) ->
     (tmp_path / "study.json").write_text(json.dumps({"title": "t", "cases": [case]}), encoding="utf-8")
     with pytest.raises(InputError, match=r"holds no study\.json of a study"):
         collect(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["s01/bent", "../../elsewhere", "x" * 5000])
+def test_a_record_of_another_case_counts_as_none(tmp_path: Path, name: str) -> None:
+    case = {"name": "s00/bent", "subject": "s00", "rig": "bent", "motion": "", "facts": {}}
+    (tmp_path / "study.json").write_text(json.dumps({"title": "t", "cases": [case]}), encoding="utf-8")
+    folder = case_folder(tmp_path, "s00/bent")
+    folder.mkdir(parents=True)
+    record = {**case, "name": name, "status": "passed"}
+    (folder / "case.json").write_text(json.dumps(record), encoding="utf-8")
+    (outcome,) = collect(tmp_path).outcomes
+    assert (outcome.name, outcome.status) == ("s00/bent", "not run")
+    (folder / "case.json").write_text(json.dumps({**record, "name": "s00/bent"}), encoding="utf-8")
+    assert collect(tmp_path).outcomes[0].status == "passed"

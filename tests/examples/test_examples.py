@@ -20,7 +20,7 @@ STARTED_ONLY = {
 }
 STARTED_ONLY |= {"regions.py": "--prepare-only", "fig8_forearm_motion.py": "--frames", "fig9_jump.py": "--workers"}
 STARTED_ONLY |= {"cost_model.py": "--write", "forearm_architecture.py": "--report", "measure.py": "take"}
-STARTED_ONLY |= {"forearm_moment_arms.py": "--plot", "control_points.py": "--count"}
+STARTED_ONLY |= {"forearm_moment_arms.py": "--plot", "control_points.py": "--count", "scan_fits.py": "--only"}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
 
 

@@ -128,7 +128,7 @@ SCANS: dict[str, Callable[[TriMesh], TriMesh]] = {
 
 def measured(skin: Path, mesh: TriMesh, folder: Path) -> None:
     """The template brought to the heavier body's stature and waist: how far what is reached is off."""
-    stature = np.ptp(mesh.vertices[:, 2])
+    stature = float(np.ptp(mesh.vertices[:, 2]))
     (folder / "measures.csv").write_text(
         f"name,kind,value,unit,height\nstature,stature,{stature!r},mm,\nwaist,girth,1000,mm,1050\n", encoding="utf-8"
     )

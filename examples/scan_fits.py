@@ -141,6 +141,11 @@ def measured(skin: Path, mesh: TriMesh, folder: Path) -> None:
     print(f"by measures: map {done.report.result.map.claim.value}; {seconds:.0f} CPU s for the fit")
 
 
+def short(value: float) -> str:
+    """Two digits that count, without an exponent."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def main() -> None:
     """Fit the skin to each scan, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -160,8 +165,8 @@ def main() -> None:
             found = mf.fit_body(template, folder / "scan.ply")
             far, fit, verdict = found.fit.from_scan, found.fit, "passed" if found.passed else "failed"
             print(
-                f"| {name} | {len(scan.vertices):,} | {far.median_mm:.2g} | {far.most_95_mm:.2g} | {far.max_mm:.2g} | "
-                f"{100 * fit.unmatched:.1g} % | {100 * fit.uncovered:.2g} % | {verdict} | "
+                f"| {name} | {len(scan.vertices):,} | {short(far.median_mm)} | {short(far.most_95_mm)} | "
+                f"{short(far.max_mm)} | {short(100 * fit.unmatched)} % | {short(100 * fit.uncovered)} % | {verdict} | "
                 f"{time.process_time() - began:.0f} |",
                 flush=True,
             )

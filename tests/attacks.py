@@ -206,7 +206,12 @@ def verify_fold(steps: Steps, points: np.ndarray, certificate: MapCertificate) -
         np.testing.assert_allclose(there - 0.5 * field.displacement(there), place, rtol=0, atol=1e-6)
     else:
         np.testing.assert_allclose(there, place, rtol=0, atol=1e-6)
-    assert np.linalg.det(flow_step(kind, field).jacobian(place))[0] < 1e-9
+    if fold.other_midpoint is None:
+        assert np.linalg.det(flow_step(kind, field).jacobian(place))[0] < 1e-9
+    else:  # the step takes the place by one of two midpoints, which need not be the one where it is reversed
+        other = np.array(fold.other_midpoint)[None]
+        np.testing.assert_allclose(other - 0.5 * field.displacement(other), place, rtol=0, atol=1e-6)
+        assert np.abs(other - there).max() > 1e-6
     n = rest.shape[1]
     h = 1e-5
     ends = there + h * np.concatenate([np.eye(n), -np.eye(n)])

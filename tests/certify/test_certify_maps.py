@@ -43,7 +43,7 @@ SCALES = {
 }
 CAMPAIGN = 22
 """Every kernel with both kinds of last step."""
-FULL_CAMPAIGN = range(36, 556)
+FULL_CAMPAIGN = range(CAMPAIGN, 556)
 
 
 def affine(linear: np.ndarray) -> RadialField:

@@ -31,6 +31,9 @@ DIRECT = 12
 PIECES = 18
 """Cells that a box reaches into in which the sum is bounded as the polynomial that it is."""
 
+ROUNDING = 1e-8
+"""Of a slope's coefficients, 27 products of values up to ``ONE``."""
+
 BLOCK = 256
 
 
@@ -223,9 +226,13 @@ def _combined(x, y, z, i, j, k, here, a, b, c):
 
 
 @njit(cache=True)
-def _value_range(here, first, last, span, m, d):
-    """Lowest and highest sum over a box, by the Bernstein coefficients of each cell that it reaches into."""
+def _range(axis, here, first, last, span, m, d):
+    """Lowest and highest slope along an axis, per cell, over a box; those of the sum itself for the axis -1.
+
+    By the Bernstein coefficients of each cell that the box reaches into, fewer by one along the axis of a slope.
+    """
     least, most = np.inf, -np.inf
+    x, y, z = d[0] if axis == 0 else m[0], d[1] if axis == 1 else m[1], d[2] if axis == 2 else m[2]
     for a in range(first[0] + 1, last[0]):
         _bernstein(span[0, 0], span[0, 1], a, m[0], d[0])
         for b in range(first[1] + 1, last[1]):
@@ -233,34 +240,12 @@ def _value_range(here, first, last, span, m, d):
             for c in range(first[2] + 1, last[2]):
                 _bernstein(span[2, 0], span[2, 1], c, m[2], d[2])
                 at = (a - 1 - first[0], b - 1 - first[1], c - 1 - first[2])
-                for i in range(3):
-                    for j in range(3):
-                        for k in range(3):
-                            value = _combined(m[0], m[1], m[2], i, j, k, here, at[0], at[1], at[2])
+                for i in range(len(x)):
+                    for j in range(len(y)):
+                        for k in range(len(z)):
+                            value = _combined(x, y, z, i, j, k, here, at[0], at[1], at[2])
                             least, most = min(least, value), max(most, value)
     return least, most
-
-
-@njit(cache=True)
-def _slope_range(here, first, last, span, m, d, lows, highs):
-    """Write the extreme slopes (3,) per cell over a box, as `_value_range`."""
-    lows[:], highs[:] = np.inf, -np.inf
-    for a in range(first[0] + 1, last[0]):
-        _bernstein(span[0, 0], span[0, 1], a, m[0], d[0])
-        for b in range(first[1] + 1, last[1]):
-            _bernstein(span[1, 0], span[1, 1], b, m[1], d[1])
-            for c in range(first[2] + 1, last[2]):
-                _bernstein(span[2, 0], span[2, 1], c, m[2], d[2])
-                at = (a - 1 - first[0], b - 1 - first[1], c - 1 - first[2])
-                for i in range(3):
-                    for j in range(3):
-                        for k in range(2):
-                            x = _combined(d[0], m[1], m[2], k, i, j, here, at[0], at[1], at[2])
-                            y = _combined(m[0], d[1], m[2], i, k, j, here, at[0], at[1], at[2])
-                            z = _combined(m[0], m[1], d[2], i, j, k, here, at[0], at[1], at[2])
-                            lows[0], highs[0] = min(lows[0], x), max(highs[0], x)
-                            lows[1], highs[1] = min(lows[1], y), max(highs[1], y)
-                            lows[2], highs[2] = min(lows[2], z), max(highs[2], z)
 
 
 @njit(inline="always")
@@ -317,7 +302,7 @@ def value_ranges(begin, end, low, h, bricks, values, ranges, centres, half_width
                         least, most = min(least, v), max(most, v)
         out[box, 0], out[box, 1] = least / 65535.0, most / 65535.0
         if wide <= DIRECT and least < most and _pieces(first, last) <= PIECES:
-            lowest, highest = _value_range(here, first, last, span, splines, slopes)
+            lowest, highest = _range(-1, here, first, last, span, splines, slopes)
             out[box, 0] = max(out[box, 0], lowest / 65535.0 - 1e-13)
             out[box, 1] = min(out[box, 1], highest / 65535.0 + 1e-13)
 
@@ -384,7 +369,9 @@ def slope_ranges(begin, end, low, h, bricks, values, ranges, centres, half_width
             reach = np.sqrt((half_widths[box] ** 2).sum())
             bend = np.sqrt(squares) / (65535.0 * h * h) * reach
             if squares > 0.0 and _pieces(first, last) <= PIECES:
-                _slope_range(here, first, last, span, splines, slopes, lows, highs)
+                for axis in range(3):
+                    least, most = _range(axis, here, first, last, span, splines, slopes)
+                    lows[axis], highs[axis] = least - ROUNDING, most + ROUNDING
         else:
             _over_bricks(bricks, ranges, first, last, highs)
             for axis in range(3):

@@ -447,7 +447,18 @@
   $("section-axis").value = String([0, 1, 2].reduce((a, b) => (Math.abs(towards.getComponent(b)) > Math.abs(towards.getComponent(a)) ? b : a)));
   $("section-flip").checked = towards.getComponent(Number($("section-axis").value)) < 0;
 
+  // Through the middle of what is shown, until it is moved by hand.
+  let placed = false;
+  $("section-at").addEventListener("input", () => { placed = true; });
+  function halve() {
+    if (placed || !$("section-on").checked) return;
+    const axis = Number($("section-axis").value), low = all.min.getComponent(axis), size = all.max.getComponent(axis) - low;
+    const box = boxOf(scene.tissues.map((t) => t.name));
+    if (size > 0 && !box.isEmpty()) $("section-at").value = String(Math.round((100 * (box.min.getComponent(axis) + box.max.getComponent(axis) - 2 * low)) / size) / 2);
+  }
+
   function section() {
+    halve();
     const axis = Number($("section-axis").value), sign = $("section-flip").checked ? -1 : 1;
     const share = Number($("section-at").value) / 100;
     const place = all.min.getComponent(axis) + share * (all.max.getComponent(axis) - all.min.getComponent(axis));
@@ -457,18 +468,8 @@
     sides.forEach(look);
     draw();
   }
-  // Through the middle of what is shown, until it is moved by hand.
-  let placed = false;
-  function halve() {
-    if (placed || !$("section-on").checked) return;
-    const axis = Number($("section-axis").value), low = all.min.getComponent(axis), size = all.max.getComponent(axis) - low;
-    const box = boxOf(scene.tissues.map((t) => t.name));
-    if (size > 0 && !box.isEmpty()) $("section-at").value = String(Math.round((100 * (box.min.getComponent(axis) + box.max.getComponent(axis) - 2 * low)) / size) / 2);
-  }
-  $("section-at").addEventListener("input", () => { placed = true; });
-  for (const id of ["section-on", "section-axis"]) $(id).addEventListener("input", halve);
   for (const id of ["section-on", "section-axis", "section-at", "section-flip"]) $(id).addEventListener("input", section);
-  for (const select of [left, right]) select.addEventListener("change", () => { halve(); section(); });
+  for (const select of [left, right]) select.addEventListener("change", section);
 
   const kinds = [...new Set(scene.tissues.map((t) => t.kind))];
   const boxes = [];

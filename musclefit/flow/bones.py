@@ -23,7 +23,7 @@ from musclefit.flow.steppers import HandleStepper, StepMaker
 from musclefit.flow.steps import CayleyStep, Step, Trial
 from musclefit.geometry.arrays import Bool, Float, Points
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.queries.distances import nearest_places, smooth_normals
+from musclefit.geometry.queries.distances import DistanceTree, nearest_places, smooth_normals
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.geometry.surfaces.subdivision import FaceEdges, split_edges, with_short_edges
 from musclefit.rig.handles import BoneMotions
@@ -110,25 +110,39 @@ def rigid_groups(
     """
     samples = poses_on_the_way(motions)
     groups = [_group(anatomy, bones, sampled_mm) for bones in moving_together(anatomy, samples)]
-    first = _with_contacts(groups, samples, zones_mm)
+    surfaces = [_Nearby(group.surface) for group in groups]  # cutting edges does not change them
+    found = _contacts(groups, surfaces, samples, zones_mm)
+    first = [replace(group, contact=contact) for group, contact in zip(groups, found, strict=True)]
     reach, longest = CONTACT_REACH * float(zones_mm.max(initial=0.0)), contact_sampled_mm
     finer = [_graded(g.surface, g.surface.vertices[g.contact], reach=reach, longest_mm=longest) for g in first]
     graded = [replace(group, surface=surface) for group, surface in zip(first, finer, strict=True)]
-    return _with_contacts(graded, samples, zones_mm)
+    return tuple(
+        replace(group, contact=np.concatenate([group.contact, contact]))
+        for group, contact in zip(graded, _contacts(graded, surfaces, samples, zones_mm), strict=True)
+    )
 
 
-def _with_contacts(
-    groups: Sequence[RigidGroup], samples: Sequence[Mapping[str, RigidMotion]], zones: Float
-) -> tuple[RigidGroup, ...]:
-    """The groups with their contact zones looked for anew."""
-    contact = [np.zeros(len(group.surface.vertices), dtype=bool) for group in groups]
+def _contacts(
+    groups: Sequence[RigidGroup],
+    surfaces: Sequence[_Nearby],
+    samples: Sequence[Mapping[str, RigidMotion]],
+    zones: Float,
+) -> list[Bool]:
+    """Which vertices of each group, beyond those that its contact zone knows, come closer to another than their zone.
+
+    Each is looked at in the frame of the other bone, whose surface is the same at all poses.
+    """
+    new = [group.surface.vertices[len(group.contact) :] for group in groups]
+    found = [np.zeros(len(vertices), dtype=bool) for vertices in new]
     for sample in samples:
-        surfaces = [group.at(sample) for group in groups]
-        for k, surface in enumerate(surfaces):
-            for j, other in enumerate(surfaces):
+        motions = [sample[group.bones[0]] for group in groups]
+        for k, vertices in enumerate(new):
+            for j, surface in enumerate(surfaces):
                 if j != k:
-                    contact[k] |= _closer(surface.vertices, other, float(zones[k, j]))
-    return tuple(replace(group, contact=where) for group, where in zip(groups, contact, strict=True))
+                    left = np.flatnonzero(~found[k])
+                    there = (motions[j].inverse() @ motions[k])(vertices[left])
+                    found[k][left] = surface.closer(there, float(zones[k, j]))
+    return found
 
 
 def poses_on_the_way(motions: BoneMotions) -> tuple[Mapping[str, RigidMotion], ...]:
@@ -367,7 +381,7 @@ def _group(anatomy: Anatomy, bones: Sequence[str], sampled_mm: float) -> RigidGr
     surface = TriMesh.together([anatomy[bone].surface for bone in bones])
     given = len(surface.vertices)
     surface = with_short_edges(surface, longest_mm=sampled_mm)
-    return RigidGroup(tuple(bones), surface, np.zeros(len(surface.vertices), dtype=bool), given)
+    return RigidGroup(tuple(bones), surface, np.zeros(0, dtype=bool), given)
 
 
 def _graded(surface: TriMesh, around: Points, *, reach: float, longest_mm: float) -> TriMesh:
@@ -384,17 +398,29 @@ def _graded(surface: TriMesh, around: Points, *, reach: float, longest_mm: float
     return surface
 
 
-def _closer(points: Points, surface: TriMesh, limit: float) -> Bool:
-    """Which points are closer to the surface than the limit; far ones are sorted out by its box and its vertices."""
-    low, high = surface.vertices.min(axis=0) - limit, surface.vertices.max(axis=0) + limit
-    near: Bool = ((points > low) & (points < high)).all(axis=1)
-    # No place of a triangle is farther from its nearest corner than its longest edge.
-    corners = surface.vertices[surface.faces]
-    reach = limit + float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0))
-    apart = cKDTree(surface.vertices).query(points[near], distance_upper_bound=reach * (1.0 + 1e-9))[0]
-    near[near] = np.isfinite(apart)
-    near[near] = nearest_places(points[near], surface).distances < limit if near.any() else False
-    return near
+class _Nearby:
+    """A surface, and which points are close to it; far ones are sorted out by its box and its vertices.
+
+    Parameters
+    ----------
+    surface : TriMesh
+    """
+
+    def __init__(self, surface: TriMesh) -> None:
+        self._low, self._high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        corners = surface.corners()
+        self._longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0))
+        self._vertices, self._tree = cKDTree(surface.vertices), DistanceTree(surface)
+
+    def closer(self, points: Points, limit: float) -> Bool:
+        """(N,) which points are closer to the surface than the limit."""
+        near: Bool = ((points > self._low - limit) & (points < self._high + limit)).all(axis=1)
+        # No place of a triangle is farther from its nearest corner than its longest edge.
+        reach = (limit + self._longest) * (1.0 + 1e-9)
+        near[near] = np.isfinite(self._vertices.query(points[near], distance_upper_bound=reach)[0])
+        if near.any():
+            near[near] = self._tree(points[near]) < limit
+        return near
 
 
 def _same(a: RigidMotion, b: RigidMotion) -> bool:

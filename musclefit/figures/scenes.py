@@ -153,20 +153,19 @@ def _gaps(anatomy: Anatomy) -> SceneField:
     points = anatomy.vertices()
     far = GAP_SHARE * float(np.ptp(points, axis=0).max()) or 1.0
     found = np.full(len(points), np.nan)
-    inside = [
-        (t, where) for t, where in zip(anatomy, anatomy.slices().values(), strict=True) if t.kind != TissueKind.SKIN
-    ]
-    trees = [cKDTree(t.surface.vertices) for t, _ in inside]
-    for number, (tissue, where) in enumerate(inside):
+    inside = np.ones(len(points), dtype=bool)
+    slices = anatomy.slices().values()
+    for tissue, where in zip(anatomy, slices, strict=True):
+        inside[where] = tissue.kind is not TissueKind.SKIN
+    for tissue, where in zip(anatomy, slices, strict=True):
         own = tissue.surface.vertices
-        nearest = np.full(len(own), np.inf)
-        for other, tree in enumerate(trees):
-            if other == number or not tree.n:
-                continue
-            near = np.flatnonzero(((own >= tree.mins - far) & (own <= tree.maxes + far)).all(axis=1))
-            if len(near):
-                nearest[near] = np.minimum(nearest[near], tree.query(own[near], distance_upper_bound=far)[0])
-        found[where] = np.where(np.isfinite(nearest), nearest, np.nan)
+        if tissue.kind is TissueKind.SKIN or not len(own):
+            continue
+        near = inside & ((points >= own.min(axis=0) - far) & (points <= own.max(axis=0) + far)).all(axis=1)
+        near[where] = False
+        tree = cKDTree(points[near], balanced_tree=False, compact_nodes=False)  # quick to build
+        apart = tree.query(own, distance_upper_bound=far)[0] if tree.n else np.full(len(own), np.inf)
+        found[where] = np.where(np.isfinite(apart), apart, np.nan)
     return SceneField("gap", "mm", 0.0, far, found)
 
 

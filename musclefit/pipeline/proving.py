@@ -35,7 +35,7 @@ MARGIN_SHARE = 0.1
 """A certified margin is at least this share of the sampled one: a larger one would take many more boxes to prove."""
 
 
-def proved(made: Made, job: Job, *, progress: Progress) -> tuple[Made, MapCertificate | None]:
+def proved(made: Made, job: Job, *, by_pairs: bool = True, progress: Progress) -> tuple[Made, MapCertificate | None]:
     """The proof of the map, where the rig asks for one; the march goes on from what it fails at.
 
     Between the places that a march is tested at, such as in the gap between two bones, a step may be too long for
@@ -47,6 +47,8 @@ def proved(made: Made, job: Job, *, progress: Progress) -> tuple[Made, MapCertif
     made : Made
     job : Job
         What it was made of.
+    by_pairs : bool
+        Whether what is open at the end is tried pair by pair.
     """
     proof = _proof(made, job, progress)
     for _ in range(PROOFS):
@@ -56,9 +58,9 @@ def proved(made: Made, job: Job, *, progress: Progress) -> tuple[Made, MapCertif
             break
         made, proof = again, _proof(again, job, progress)
     left = 0 if proof is None or proof.claim is not Claim.UNDECIDED else proof.max_boxes - proof.boxes_examined
-    if left > 0:
-        by_pairs = _proof(made, job, progress, max_boxes=left, pairs_share=PAIRS_SHARE)
-        proof = proof if by_pairs is None or by_pairs.claim is Claim.UNDECIDED else by_pairs
+    if by_pairs and left > 0:
+        found = _proof(made, job, progress, max_boxes=left, pairs_share=PAIRS_SHARE)
+        proof = proof if found is None or found.claim is Claim.UNDECIDED else found
     return made, proof
 
 

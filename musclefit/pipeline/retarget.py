@@ -264,16 +264,18 @@ class _Finisher:
     """Receives the progress of the proof: the seconds of the job's own are compared with those of its march."""
     shared: tuple[BoneOverlap, ...]
     """What bones share in the pose by their motions alone: no part of what a deformation that holds them introduces."""
+    by_pairs: bool = True
+    """Whether what the proof leaves open is tried pair by pair."""
 
     def as_given(self, job: Job) -> _Finisher:
-        """For what a result is compared with: its tets are moved as they are, and its proof has a smaller budget."""
+        """For what a result is compared with: its tets are moved as they are; its proof has a smaller budget, no pairs."""
         boxes = max(1, round(COMPARED_SHARE * job.rig.certificate.max_boxes))
         rig = replace(job.rig, certificate=replace(job.rig.certificate, max_boxes=boxes))
         mesh = replace(job.rig.mesh, refine=False)
-        return replace(self, job=replace(job, rig=rig), mesh=mesh, proving=Silent())
+        return replace(self, job=replace(job, rig=rig), mesh=mesh, proving=Silent(), by_pairs=False)
 
     def __call__(self, made: Made, *, method: str, stage: str) -> Outcome:
-        made, proof = proved(made, self.job, progress=self.proving)
+        made, proof = proved(made, self.job, by_pairs=self.by_pairs, progress=self.proving)
         job, deformed, deformation = self.job, made.deformed, made.deformed.deformation
         moved = self._moved(made)
         with self.progress.stage(stage) as tick:

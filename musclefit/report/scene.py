@@ -22,6 +22,9 @@ from musclefit.report.triangle_coding import CodedFaces, coded
 FIELD_STEPS = 254
 """Steps of a coloured value over its range; 255 stands for what is not a number."""
 
+COMPRESSION = 6
+"""Of gzip, up to 9, which makes a page 1 % smaller in eight times the time."""
+
 _STEPS = 65535
 
 
@@ -160,7 +163,7 @@ def packed(scene: Scene) -> tuple[str, str]:
             }
         )
     text = json.dumps(said, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return _inert(text), base64.b64encode(gzip.compress(arrays.joined(), 9, mtime=0)).decode("ascii")
+    return _inert(text), base64.b64encode(gzip.compress(arrays.joined(), COMPRESSION, mtime=0)).decode("ascii")
 
 
 def quantum_mm(scene: Scene) -> float:

@@ -268,7 +268,7 @@ class _Finisher:
     """Whether what the proof leaves open is tried pair by pair."""
 
     def as_given(self, job: Job) -> _Finisher:
-        """For what a result is compared with: its tets are moved as they are; its proof has a smaller budget, no pairs."""
+        """For what a result is compared with: its tets are moved as they are, its proof is a short one."""
         boxes = max(1, round(COMPARED_SHARE * job.rig.certificate.max_boxes))
         rig = replace(job.rig, certificate=replace(job.rig.certificate, max_boxes=boxes))
         mesh = replace(job.rig.mesh, refine=False)

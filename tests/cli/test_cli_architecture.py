@@ -161,7 +161,7 @@ def test_streamlines_that_are_known_take_the_place_of_the_flow(
     assert 0.5 < float(carried["stretch_mean"]) < 1.5
     (use,) = rows(tmp_path / "data" / "fibre_files.csv")
     assert (use["file"], use["lines"], use["directions"]) == ("fibres.vtk", "200", "0")
-    # A line along the tets' own surface, which stands out of the given one in places, is none in a muscle: a few of 200.
+    # A line along the tets' own surface, which stands out of the given one, is none in a muscle: a few of 200.
     assert int(use["lines_in_muscles"]) == int(data["lines"]) >= 180
 
 

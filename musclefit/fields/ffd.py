@@ -60,7 +60,13 @@ class Lattice:
 
     @classmethod
     def around(cls, low: Float, high: Float, *, shape: tuple[int, ...]) -> Self:
-        """The lattice of a shape whose outermost points lie on a box's faces; every axis needs two points or more."""
+        """The lattice of a shape whose outermost points lie on a box's faces; every axis needs two points or more.
+
+        Raises
+        ------
+        FieldError
+            An axis has fewer than two points, or no width.
+        """
         if min(shape) < 2:
             raise FieldError(f"a lattice of shape {shape} cannot span a box; give at least 2 points along every axis")
         return cls(low, (np.asarray(high) - low) / (np.array(shape) - 1.0), shape)
@@ -80,6 +86,11 @@ class Lattice:
 
         A control point draws the space around it; it is not met by the map. Beyond the lattice the field fades to zero
         within two cells, twice continuously differentiable.
+
+        Raises
+        ------
+        FieldError
+            There is not one displacement for each control point.
         """
         if displacements.shape != (int(np.prod(self.shape)), self.dimension):
             raise FieldError(
@@ -242,6 +253,11 @@ class FfdField:
         (B, n, n), (B, 2) float64
             Gradients at the centres; and how far they get from these and rounding, or for strain minus the lowest and
             plus the highest eigenvalue.
+
+        Raises
+        ------
+        FieldError
+            A half width is negative, or boxes are not of the field's dimension.
         """
         where = self._accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)

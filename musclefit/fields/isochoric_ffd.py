@@ -47,6 +47,11 @@ class IsochoricFfdBackend:
     ----------
     narrowest_mm : float
         Spacing of the narrowest lattice; the others have 4, 16... times as much.
+
+    Raises
+    ------
+    FieldError
+        The spacing is not a positive number.
     """
 
     narrowest_mm: float

@@ -306,6 +306,11 @@ class LockedField:
         """Rigorous bounds of the eigenvalues of the gradient's symmetric part over boxes.
 
         As `RadialField.strain_bounds`, which judges the boxes that no lock touches.
+
+        Raises
+        ------
+        FieldError
+            The field beneath the locks bounds no strain.
         """
         base = self.base
         if not isinstance(base, BoundedBase):

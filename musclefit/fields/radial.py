@@ -245,6 +245,11 @@ class RadialBackend:
         The kernel's own length (support, width, mollifier); not used by r, r2logr, r3, isochoric-r3, isochoric-r5.
     smoothing : float
         0 interpolates; larger values let the field miss noisy landmarks. Added to the diagonal of the kernel matrix.
+
+    Raises
+    ------
+    FieldError
+        The scale is not a positive number, or the smoothing negative.
     """
 
     kernel: str
@@ -269,7 +274,13 @@ class RadialBackend:
         return self.factor(at).field(displacements)
 
     def factor(self, at: Points) -> RadialFactor:
-        """The factorised system of one configuration of handles, to be reused for many displacements."""
+        """The factorised system of one configuration of handles, to be reused for many displacements.
+
+        Raises
+        ------
+        FieldError
+            Handles coincide or nearly so, or an isochoric kernel is to be used in the plane.
+        """
         at = np.ascontiguousarray(at, dtype=np.float64)
         kernel = kernel_named(self.kernel)
         m, n = at.shape

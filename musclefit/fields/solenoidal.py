@@ -83,7 +83,13 @@ class SolenoidalField:
     levels: tuple[PotentialLevel, ...]
 
     def displacement(self, points: Points) -> Points:
-        """(N, 3) displacements at (N, 3) points, mm."""
+        """(N, 3) displacements at (N, 3) points, mm.
+
+        Raises
+        ------
+        FieldError
+            Points are not in space.
+        """
         where = _accepted(points)
         values = np.zeros_like(where)
         for level in self.levels:
@@ -95,7 +101,13 @@ class SolenoidalField:
         return self.displacement_and_gradient(points)[1]
 
     def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
-        """Both in one pass."""
+        """Both in one pass.
+
+        Raises
+        ------
+        FieldError
+            Points are not in space.
+        """
         where = _accepted(points)
         values, gradients = np.zeros_like(where), np.zeros((len(where), 3, 3))
         for level in self.levels:
@@ -131,6 +143,11 @@ class SolenoidalField:
 
         Of the gradient's Frobenius norm, of its symmetric part's eigenvalues, of the Frobenius norm of its derivatives,
         per mm, and of the eigenvalues of its symmetric part's along any direction, per mm; 0 where the field is.
+
+        Raises
+        ------
+        FieldError
+            Centres are not in space.
         """
         where = _accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
@@ -157,6 +174,11 @@ class SolenoidalField:
         (B, 2)
             Minus the lowest and plus the highest eigenvalue; or the proved radius in the spectral norm, and what of
             it is rounding at the centre.
+
+        Raises
+        ------
+        FieldError
+            A half width is negative, or centres are not in space.
         """
         where = _accepted(centres)
         half_widths = np.ascontiguousarray(np.broadcast_to(half_widths, where.shape), dtype=np.float64)
@@ -188,6 +210,11 @@ class SolenoidalField:
 
         First as matrices, in every norm, then by the eigenvalues of their symmetric parts, (B,) each. Cheaper than
         ``bounds_with``, and not much wider where boxes are narrow for the lattices.
+
+        Raises
+        ------
+        FieldError
+            Centres are not in space.
         """
         where = _accepted(centres)
         half_widths = np.broadcast_to(half_widths, where.shape)

@@ -41,7 +41,13 @@ class Marks:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Panel:
-    """One anatomy with its title and what to point out in it."""
+    """One anatomy with its title and what to point out in it.
+
+    Raises
+    ------
+    InputError
+        There is not one determinant for each vertex of a tissue.
+    """
 
     title: str
     anatomy: Anatomy

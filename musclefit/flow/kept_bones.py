@@ -407,7 +407,13 @@ class LockedBoneStepper:
         return self._moved(self.beside, start)
 
     def makers(self, start: float, end: float) -> Iterable[StepMaker]:
-        """The one step."""
+        """The one step.
+
+        Raises
+        ------
+        FieldError
+            When a step is made: the backend gave a field that bones cannot be locked in.
+        """
 
         def make(tested: Points, _anchors: Points) -> Step:
             here, there = self.path.position(start), self.path.position(end)

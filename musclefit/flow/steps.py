@@ -113,7 +113,13 @@ class InverseStep:
         return self.jacobian_from(self.trial(points).gradients)
 
     def trial(self, points: Points) -> Trial:
-        """Moved points, and the gradients there."""
+        """Moved points, and the gradients there.
+
+        Raises
+        ------
+        NotConvergedError
+            No point is found that the step takes there.
+        """
         return Trial(*_newton(self.of.field, points, factor=1.0))
 
     def jacobian_from(self, gradients: Gradients) -> Gradients:
@@ -149,7 +155,13 @@ class CayleyStep:
         return self.jacobian_from(self.trial(points).gradients)
 
     def trial(self, points: Points) -> Trial:
-        """Moved points, and the gradients at the midpoints."""
+        """Moved points, and the gradients at the midpoints.
+
+        Raises
+        ------
+        NotConvergedError
+            No midpoint is found.
+        """
         middle, gradients = _newton(self.field, points, factor=-0.5)
         return Trial(2.0 * middle - points, gradients)
 

@@ -99,7 +99,13 @@ class NamedFiles:
         return found
 
     def read(self, path: Path, *, key: str) -> bytes:
-        """The bytes of a file; its hash is kept."""
+        """The bytes of a file; its hash is kept.
+
+        Raises
+        ------
+        RigError
+            The file cannot be read.
+        """
         place = f"{self.rig}: {key}" if key else str(self.rig)
         try:
             data = path.read_bytes()

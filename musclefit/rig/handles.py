@@ -107,7 +107,13 @@ class BonePath:
     motions: BoneMotions
 
     def position(self, t: float) -> Points:
-        """(m, 3) handle positions at ``t``, mm."""
+        """(m, 3) handle positions at ``t``, mm.
+
+        Raises
+        ------
+        LandmarkError
+            A handle is on a bone that no joint moves or fixes.
+        """
         motions = self.motions.at(t)
         moved = self.handles.source.copy()
         owners = np.asarray(self.handles.owner)

@@ -28,6 +28,11 @@ class CompactBackend:
     max_iterations : int
         Ends the iteration too: the residual that is left shows in the displacements.
 
+    Raises
+    ------
+    FieldError
+        The kernel is not compact, or the support not a positive number.
+
     References
     ----------
     M. Floater and A. Iske, "Multistep scattered data interpolation using compactly supported radial basis functions",

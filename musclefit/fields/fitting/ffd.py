@@ -71,6 +71,11 @@ class FfdBackend:
         Of the coarsest lattice; every further level has half of it.
     max_levels : int
         Lattices at most. Handles closer than half the spacing of the last one make its system badly conditioned.
+
+    Raises
+    ------
+    FieldError
+        The spacing is not a positive number, or there is no level.
     """
 
     spacing_mm: float = 20.0
@@ -163,7 +168,13 @@ class LevelSystem:
 
     @classmethod
     def coarsest(cls, at: Points, spacing: float) -> LevelSystem:
-        """With minimal bending, and a margin over which the field fades out."""
+        """With minimal bending, and a margin over which the field fades out.
+
+        Raises
+        ------
+        FieldError
+            The lattice would be too large.
+        """
         low, high = at.min(axis=0), at.max(axis=0)
         extent = max(float((high - low).max()), spacing)
         margin = max(MARGIN_EXTENTS * extent, MARGIN_CELLS * spacing)
@@ -176,7 +187,13 @@ class LevelSystem:
 
     @classmethod
     def finer(cls, at: Points, spacing: float) -> LevelSystem:
-        """With smoothed coefficients of least norm; its splines reach four cells from the handles."""
+        """With smoothed coefficients of least norm; its splines reach four cells from the handles.
+
+        Raises
+        ------
+        FieldError
+            The lattice would be too large.
+        """
         lattice = _lattice_around(at.min(axis=0), at.max(axis=0), margin=4.0 * spacing, spacing=spacing)
         rows = [_SMOOTH] * at.shape[1] + [np.ones(1)] * (3 - at.shape[1])
         shape = [*lattice.shape, 1][:3]

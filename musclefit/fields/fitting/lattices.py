@@ -50,6 +50,11 @@ class LatticeBackend:
         Root mean square of what may be missed, at which the iteration ends.
     iterations : int
         At most so many.
+
+    Raises
+    ------
+    FieldError
+        A spacing is not positive or there is none, the tolerance is negative, or no iteration is allowed.
     """
 
     spacings_mm: tuple[float, ...]

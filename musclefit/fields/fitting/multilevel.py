@@ -53,6 +53,11 @@ class MultilevelBackend:
     scale : float, mm
         The kernel's own length, where it has one.
 
+    Raises
+    ------
+    FieldError
+        The kernel is isochoric or compact.
+
     References
     ----------
     M. Floater and A. Iske, "Multistep scattered data interpolation using compactly supported radial basis functions",

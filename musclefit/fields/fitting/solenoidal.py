@@ -55,6 +55,11 @@ class SolenoidalBackend:
         Power of a lattice's spacing by which its coefficients are scaled.
     least_gain : float
         The iteration ends, too, where ``PATIENCE`` iterations lowered what is missed by less than this share of it.
+
+    Raises
+    ------
+    FieldError
+        The tolerance is negative or not finite.
     """
 
     tolerance_mm: float

@@ -125,7 +125,13 @@ class Lengthwise:
 
     @classmethod
     def of(cls, surface: TriMesh) -> Lengthwise:
-        """`sections_along` and `position_along`, for which the one eigenfunction is found once."""
+        """`sections_along` and `position_along`, for which the one eigenfunction is found once.
+
+        Raises
+        ------
+        MeshError
+            The surface has no area.
+        """
         along = _along(surface)
         return cls(_sections(surface, along, count=SECTIONS), _position(surface, along))
 

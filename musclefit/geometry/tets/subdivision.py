@@ -48,7 +48,13 @@ class Incidence:
         self._tets = near[order // 4]
 
     def around(self, edge: Int) -> Int:
-        """Numbers of the tets that have both ends of an edge, rising."""
+        """Numbers of the tets that have both ends of an edge, rising.
+
+        Raises
+        ------
+        MeshError
+            Neither end was among the vertices asked for.
+        """
         if not self._known[edge].any():
             raise MeshError(f"edge {edge.tolist()} has no end among the vertices asked for")
         found: Int = np.intersect1d(self._at(int(edge[0])), self._at(int(edge[1])), assume_unique=True)

@@ -44,7 +44,13 @@ class CageDrive(Drive):
         )
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> Pairs:  # noqa: ARG002
-        """The vertices of both cages, and those of keyframes."""
+        """The vertices of both cages, and those of keyframes.
+
+        Raises
+        ------
+        MeshError
+            Triangles of the cages cross, or a cage is an STL file, which has no shared vertices.
+        """
         source, findings = self._cage(self.source, files, key="drive.source")
         target, more = self._cage(self.target, files, key="drive.target")
         try:

@@ -89,7 +89,13 @@ class TransformDrive(Drive):
         return replace(self, transforms=transforms, landmarks=landmarks)
 
     def read(self, files: Files, *, path: PathKind, rigid_bones: bool) -> OnTransforms:  # noqa: ARG002
-        """The transforms, the motions to the pose, and the landmarks."""
+        """The transforms, the motions to the pose, and the landmarks.
+
+        Raises
+        ------
+        LandmarkError
+            Landmarks and transforms are in different coordinate systems.
+        """
         data = files.read(Path(self.transforms), key="drive.transforms")
         key = "drive.transforms"
         try:

@@ -27,7 +27,13 @@ class Rows:
 
     @classmethod
     def of_csv(cls, text: str, path: Path, *, key: str = "name") -> Rows:
-        """Read a table parted by comma, semicolon or tab, whose first line has the headings, ``key`` among them."""
+        """Read a table parted by comma, semicolon or tab, whose first line has the headings, ``key`` among them.
+
+        Raises
+        ------
+        LandmarkError
+            There is no line of headings, or none of the key; or a row has another number of values.
+        """
         first = (text.lstrip().splitlines() or [""])[0]
         delimiter = max(",;\t", key=first.count)
         lines = csv_lines(text, path, delimiter=delimiter)
@@ -62,7 +68,13 @@ class Rows:
                 )
 
     def texts(self, heading: str) -> tuple[str, ...]:
-        """One column; names and labels must not be empty."""
+        """One column; names and labels must not be empty.
+
+        Raises
+        ------
+        LandmarkError
+            A row has none.
+        """
         self.require(heading)
         column = self.headings.index(heading)
         texts = tuple(cells[column].strip() for _, cells in self.rows)
@@ -136,7 +148,13 @@ class PositionColumns:
 
     @classmethod
     def find(cls, rows: Rows, prefix: str, units: Unit) -> PositionColumns | None:
-        """Find ``<prefix>x``, with or without a unit, and its sisters; None where there is none of the three."""
+        """Find ``<prefix>x``, with or without a unit, and its sisters; None where there is none of the three.
+
+        Raises
+        ------
+        LandmarkError
+            A unit is unknown or not the same in all three, or one of the three is missing or there twice.
+        """
         found: dict[str, tuple[str, str]] = {}
         for heading in rows.headings:
             said = re.fullmatch(rf"{re.escape(prefix.lower())}([xyz])(?:_([a-zµ]+))?", heading)

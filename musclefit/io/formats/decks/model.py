@@ -77,6 +77,11 @@ class Lines:
     data : bytes
     source : str
         The deck, for messages.
+
+    Raises
+    ------
+    InputError
+        The deck is empty, or not text.
     """
 
     def __init__(self, data: bytes, source: str) -> None:

@@ -191,18 +191,18 @@ def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gr
     branch of solutions that begins at the target and grows with the field.
     """
     metres = max(1.0, float(np.abs(targets).max(initial=0.0)) / 1000.0)
-    tolerance = NEWTON_TOLERANCE_MM * metres
-    found = _descended(field, targets, targets, factor=factor, tolerance=tolerance)
-    left = np.flatnonzero(found.residuals > tolerance)
+    goal = _Goal(NEWTON_TOLERANCE_MM * metres, NEWTON_ROUNDING_MM * metres)
+    found = _descended(field, targets, targets, factor=factor, goal=goal)
+    left = np.flatnonzero(found.residuals > goal.rounding)
     if left.size:
-        start = targets[left]
+        start, near = targets[left], _Goal(BRANCH_TOLERANCE_MM, BRANCH_TOLERANCE_MM)
         for number in range(1, BRANCH_STEPS):
             part = factor * number / BRANCH_STEPS
-            start = _descended(field, targets[left], start, factor=part, tolerance=BRANCH_TOLERANCE_MM).points
-        again = _descended(field, targets[left], start, factor=factor, tolerance=tolerance)
+            start = _descended(field, targets[left], start, factor=part, goal=near).points
+        again = _descended(field, targets[left], start, factor=factor, goal=goal)
         for whole, better in zip(found, again, strict=True):
             whole[left] = better
-    unsolved = np.flatnonzero(found.residuals > NEWTON_ROUNDING_MM * metres)
+    unsolved = np.flatnonzero(found.residuals > goal.rounding)
     if not unsolved.size:
         return found.points, found.gradients
     worst = int(unsolved[np.argmax(found.residuals[unsolved])])
@@ -214,36 +214,45 @@ def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gr
     )
 
 
+class _Goal(NamedTuple):
+    """Residuals, mm, at which a point is done: at the first anyway, at the second where no update lowers it further."""
+
+    tolerance: float
+    rounding: float
+
+
 class _Found(NamedTuple):
     points: Points
     gradients: Gradients
     residuals: Float
 
 
-def _descended(field: Field, targets: Points, start: Points, *, factor: float, tolerance: float) -> _Found:
-    """Newton's method from a start; an update that does not lower the residual is taken back and tried half as long."""
+def _descended(field: Field, targets: Points, start: Points, *, factor: float, goal: _Goal) -> _Found:
+    """Newton's method from a start; an update that does not lower the residual is taken back and tried half as long.
+
+    Gives the places with the lowest residuals and the gradients there.
+    """
     n = targets.shape[1]
-    solution, gradients = np.array(start), np.empty((len(targets), n, n))
-    kept, update = np.array(start), np.zeros((len(targets), n))
+    tried, kept = np.array(start), np.array(start)
+    gradients, update = np.full((len(targets), n, n), np.nan), np.zeros((len(targets), n))
     left = np.arange(len(targets))
     damping, last = np.ones(len(targets)), np.full(len(targets), np.inf)
     for _ in range(NEWTON_MAX_ITERATIONS):
-        here = solution[left]
+        here = tried[left]
         displacement, slope = field.displacement_and_gradient(here)
         residual = here + factor * displacement - targets[left]
         size = np.abs(residual).max(axis=1)
-        gradients[left] = slope
         lower = size < last[left]
         good, bad = left[lower], left[~lower]
-        kept[good], last[good], damping[good] = here[lower], size[lower], 1.0
+        kept[good], gradients[good], last[good], damping[good] = here[lower], slope[lower], size[lower], 1.0
         damping[bad] *= 0.5
-        still = lower & (size > tolerance)
+        still = lower & (size > goal.tolerance)
         update[left[still]] = _newton_update(np.eye(n) + factor * slope[still], residual[still])
-        left = left[last[left] > tolerance]
+        left = left[np.where(lower, last[left] > goal.tolerance, last[left] > goal.rounding)]
         if not left.size:
             break
-        solution[left] = kept[left] - damping[left, None] * update[left]
-    return _Found(solution, gradients, last)
+        tried[left] = kept[left] - damping[left, None] * update[left]
+    return _Found(kept, gradients, last)
 
 
 def _newton_update(matrices: Gradients, residuals: Points) -> Points:

@@ -48,6 +48,36 @@ def test_steps_of_many_handles_are_solved_far_from_the_origin():
     np.testing.assert_allclose(there - points, step.field.displacement(0.5 * (there + points)), rtol=0, atol=1e-6)
 
 
+class Noisy:
+    """A field whose values are off by what large sums round away; counts the points that it is asked for."""
+
+    def __init__(self, field, noise_mm):
+        self.field, self.noise_mm, self.asked = field, noise_mm, 0
+
+    def displacement_and_gradient(self, points):
+        self.asked += len(points)
+        values, gradients = self.field.displacement_and_gradient(points)
+        return values + self.noise_mm * np.sin(1e12 * points), gradients
+
+
+def _gentle():
+    rng = np.random.default_rng(5)
+    handles, points = rng.uniform(-50.0, 50.0, (30, 3)), rng.uniform(-50.0, 50.0, (2000, 3))
+    field = RadialBackend("r3").fit(handles, rng.normal(size=(30, 3)))
+    gradients = field.gradient(points)
+    return field.scaled(1.0 / np.abs(gradients + gradients.swapaxes(1, 2)).max()), points
+
+
+def test_a_step_ends_where_rounding_is_all_that_is_left_of_its_equation():
+    field, points = _gentle()
+    exact = Noisy(field, 0.0)
+    expected = CayleyStep(exact)(points)
+    noisy = Noisy(field, 3e-10)
+    there = CayleyStep(noisy)(points)
+    np.testing.assert_allclose(there, expected, rtol=0, atol=2e-9)
+    assert noisy.asked <= exact.asked + 4 * len(points)
+
+
 def test_the_error_of_an_unsolved_step_comes_whole_from_another_process():
     error = NotConvergedError("no solution at 2 points", np.array([1.0]))
     again = copy.copy(error)  # made anew as from a pickle

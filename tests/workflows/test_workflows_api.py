@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import inspect
 import io
 import logging
 import re
@@ -68,7 +69,7 @@ def test_every_public_name_is_there_and_told() -> None:
 def test_every_command_is_a_documented_function(name: str) -> None:
     made = getattr(mf, name)
     assert made.__name__ == name
-    sections = re.findall(r"^ *(\w+)\n *-+$", made.__doc__, re.MULTILINE)
+    sections = re.findall(r"^(\w+)\n-+$", inspect.getdoc(made) or "", re.MULTILINE)
     assert sections == ["Parameters", "Returns", "Raises"]
 
 
@@ -76,11 +77,12 @@ def test_every_public_function_says_what_it_takes_and_gives() -> None:
     functions = [made for name in mf.__all__ if isfunction(made := getattr(mf, name))]
     assert len(functions) > len(COMMANDS)
     for made in functions:
-        sections = re.findall(r"^ *(\w+)\n *-+$", made.__doc__ or "", re.MULTILINE)
+        doc = inspect.getdoc(made) or ""
+        sections = re.findall(r"^(\w+)\n-+$", doc, re.MULTILINE)
         gives = ["Returns"] if signature(made).return_annotation != "None" else []
         assert [name for name in sections if name != "Raises"] == ["Parameters", *gives], made
-        said = made.__doc__.partition("Parameters\n")[2].partition("Returns\n")[0]
-        named = {name for line in re.findall(r"^    ([\w, ]+) : ", said, re.MULTILINE) for name in line.split(", ")}
+        said = doc.partition("Parameters\n")[2].partition("Returns\n")[0]
+        named = {name for line in re.findall(r"^([\w, ]+) : ", said, re.MULTILINE) for name in line.split(", ")}
         assert set(signature(made).parameters) - {"progress"} <= named | {"rules", "kinds"}, made
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from musclefit.fields.enclosures.cell_slopes import CellSlopes
 from musclefit.fields.kernels import kernel_named
-from musclefit.fields.radial import RadialField
+from musclefit.fields.radial import RadialField, parted
 from musclefit.geometry.arrays import Float, Gradients, Int, Points
 
 ROUNDING = 1e-15
@@ -57,12 +57,10 @@ class LayeredField:
 
     def displacement_and_gradient(self, points: Points) -> tuple[Points, Gradients]:
         """Both in one pass."""
-        values, gradients = np.zeros_like(points), np.zeros((len(points), *(points.shape[1],) * 2))
+        sums = np.zeros((len(points), 12))
         for layer in self.layers:
-            more, steeper = layer.displacement_and_gradient(points)
-            values += more
-            gradients += steeper
-        return values, gradients
+            layer.add_to(sums, points)
+        return parted(sums, points.shape[1])
 
     def scaled(self, factor: float) -> Self:
         """The field ``factor`` times as strong."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -21,7 +22,7 @@ CONE = "r"
 """The kernel whose gradient jumps at its centres."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class RadialField:
     r"""D(x) = t + L (x - o) + sum_j K(x - c_j) w_j (Eq. 1 of the paper, for any kernel).
 
@@ -69,7 +70,7 @@ class RadialField:
         where = self._local(points)
         values = np.zeros_like(where)
         _sums(kernel_named(self.kernel)).values(*self._sum_of(where), values)
-        return self._polynomial(points) + values[:, :n]
+        return self._polynomial(points) + values[:, :n] if self._has_polynomial else np.ascontiguousarray(values[:, :n])
 
     def gradient(self, points: Points) -> Gradients:
         """(N, n, n) derivatives; at a centre of a kernel without gradient there, its one-sided mean."""
@@ -83,11 +84,22 @@ class RadialField:
             values, gradients = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
             lanes.gradients(*self._sum_in_lanes(points), values, gradients)
             return np.ascontiguousarray(values[:, :n]), np.ascontiguousarray(gradients[:, :n, :n])
-        where = self._local(points)
-        sums = np.zeros((len(where), 12))
-        _sums(kernel_named(self.kernel)).gradients(*self._sum_of(where), sums)
-        gradients = sums[:, 3:].reshape(-1, 3, 3)
-        return self._polynomial(points) + sums[:, :n], self.linear + gradients[:, :n, :n]
+        sums = np.zeros((len(points), 12))
+        self.add_to(sums, points)
+        return parted(sums, n)
+
+    def add_to(self, sums: Float, points: Points) -> None:
+        """Add displacements and derivatives at (N, n) points to (N, 12): three, then nine row by row, as in space."""
+        n, gradients = self._dimension_of(points), sums[:, 3:].reshape(-1, 3, 3)
+        if _lane_sums(kernel_named(self.kernel)) is not None:
+            values, derivatives = self.displacement_and_gradient(points)
+            sums[:, :n] += values
+            gradients[:, :n, :n] += derivatives
+            return
+        _sums(kernel_named(self.kernel)).gradients(*self._sum_of(self._local(points)), sums)
+        if self._has_polynomial:
+            sums[:, :n] += self._polynomial(points)
+            gradients[:, :n, :n] += self.linear
 
     def scaled(self, factor: float) -> Self:
         """The field ``factor`` times as strong."""
@@ -192,25 +204,27 @@ class RadialField:
         """
         return enclosures.displacement_bounds(self, centres, half_widths)
 
+    @cached_property
+    def _sources(self) -> tuple[Float, Float, Cells]:
+        """Centres local to the origin and weights, (3, m) in the order of the cells beside them."""
+        local = _in_space(self.centres - self.origin)
+        compact = kernel_named(self.kernel).compact and len(local)
+        cells = Cells.of(local, width=self.scale) if compact else Cells.single(len(local))
+        weights = _in_space(self.weights)
+        return np.ascontiguousarray(local[cells.order].T), np.ascontiguousarray(weights[cells.order].T), cells
+
+    @property
+    def _has_polynomial(self) -> bool:
+        return bool(self.linear.any() or self.translation.any())
+
     def _polynomial(self, points: Points) -> Points:
         moved: Points = self.translation + (points - self.origin) @ self.linear.T
         return moved
 
     def _sum_of(self, where: Points) -> tuple[Any, ...]:
         """The arguments of a loop over points already local to the origin."""
-        kernel = kernel_named(self.kernel)
-        local = _in_space(self.centres - self.origin)
-        cells = Cells.of(local, width=self.scale) if kernel.compact else Cells.single(len(local))
-        return (
-            self.scale,
-            where,
-            np.ascontiguousarray(local[cells.order].T),
-            np.ascontiguousarray(_in_space(self.weights)[cells.order].T),
-            cells.low,
-            cells.width,
-            cells.counts,
-            cells.starts,
-        )
+        local, weights, cells = self._sources
+        return self.scale, where, local, weights, cells.low, cells.width, cells.counts, cells.starts
 
     def _sum_in_lanes(self, points: Points) -> tuple[Any, ...]:
         """The arguments of a loop in lanes."""
@@ -231,6 +245,12 @@ class RadialField:
         if points.ndim != 2 or points.shape[1] != self.centres.shape[1]:
             raise FieldError(f"points have shape {points.shape}; this field needs (N, {self.centres.shape[1]})")
         return int(points.shape[1])
+
+
+def parted(sums: Float, n: int) -> tuple[Points, Gradients]:
+    """(N, n) displacements and (N, n, n) derivatives from the (N, 12) sums of `RadialField.add_to`."""
+    gradients = sums[:, 3:].reshape(-1, 3, 3)[:, :n, :n]
+    return np.ascontiguousarray(sums[:, :n]), np.ascontiguousarray(gradients)
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,6 +56,74 @@ def test_random_displacements_are_met_too(small_base):
     np.testing.assert_allclose(MultilevelBackend("r").fit(at, wanted).displacement(at), wanted, rtol=0, atol=1e-12)
 
 
+def test_handles_of_a_level_are_the_first_of_their_cells_and_apart_from_each_other_and_from_those_met():
+    at, spacing = uneven(700), 9.0
+    before, met = RNG.permutation(700)[:50], RNG.random(700) < 0.1
+    found = multilevel._apart(at, met, spacing, before=before)
+    seen: set[tuple[int, ...]] = set()
+    candidates = []
+    for k in [*before, *(k for k in range(700) if k not in set(before))]:
+        cell = tuple(np.floor((at[k] - at.min(axis=0)) / spacing).astype(int))
+        if not met[k] and cell not in seen:
+            seen.add(cell)
+            candidates.append(k)
+    near = multilevel.APART * spacing
+    earlier = list(np.flatnonzero(met))
+    expected = []
+    for k in candidates:
+        if (np.linalg.norm(at[earlier] - at[k], axis=1) > near).all():
+            expected.append(k)
+        earlier.append(k)
+    assert len(expected) > 50
+    assert found.tolist() == expected
+
+
+def test_the_radial_sum_goes_through_the_first_spacing_at_which_enough_handles_are_apart(small_base):
+    at = uneven(2000)
+    spacing, found = multilevel._coarse(at)
+    nobody, none = np.zeros(2000, dtype=bool), np.zeros(0, dtype=np.int64)
+    assert found.tolist() == multilevel._apart(at, nobody, spacing, before=none).tolist()
+    wider = float(np.linalg.norm(np.ptp(at, axis=0))) / 4.0
+    while wider > 1.01 * spacing:
+        assert len(multilevel._apart(at, nobody, wider, before=none)) < multilevel.BASE
+        wider /= 1.2
+    assert wider == pytest.approx(spacing, rel=1e-9)
+    assert len(found) >= multilevel.BASE
+
+
+def test_the_sparse_system_of_a_level_is_wendlands_function_and_is_solved():
+    at, support = uneven(400), 12.0
+    q = np.linalg.norm(at[:, None] - at, axis=2) / support
+    dense = np.maximum(1.0 - q, 0.0) ** 4 * (4.0 * q + 1.0)
+    np.testing.assert_allclose(multilevel._matrix(at, support).toarray(), dense, rtol=0, atol=1e-14)
+    apart = multilevel._apart(at, np.zeros(400, dtype=bool), 3.0, before=np.arange(0))
+    data = smooth(at[apart])
+    weights = multilevel._solved(multilevel._matrix(at[apart], support), data, tolerance=1e-11)
+    np.testing.assert_allclose(dense[np.ix_(apart, apart)] @ weights, data, rtol=0, atol=1e-10)
+
+
+def test_rows_are_multiplied_alike_in_any_number_of_threads():
+    matrix = multilevel._matrix(RNG.uniform(0.0, 40.0, (20_000, 3)), 2.0)
+    vectors = RNG.normal(size=(20_000, 3))
+    image = np.full_like(vectors, np.nan)
+    multilevel.multiply_rows(matrix.indptr, matrix.indices, matrix.data, vectors, image)
+    np.testing.assert_allclose(image, matrix @ vectors, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_layers_add_up(small_base, dimensions):
+    at = uneven(900, dimensions=dimensions)
+    field = MultilevelBackend("r3").fit(at, smooth(at))
+    points = RNG.uniform(-80, 80, (300, dimensions))
+    for found, parts in zip(
+        field.displacement_and_gradient(points),
+        zip(*(layer.displacement_and_gradient(points) for layer in field.layers), strict=True),
+        strict=True,
+    ):
+        assert found.flags.c_contiguous
+        np.testing.assert_allclose(found, sum(parts), rtol=0, atol=1e-10)
+
+
 def test_few_handles_are_those_of_the_radial_sum():
     at = uneven(200)
     one, other = MultilevelBackend("r3").fit(at, smooth(at)), RadialBackend("r3").fit(at, smooth(at))

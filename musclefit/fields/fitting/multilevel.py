@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from musclefit.compiling import threaded
 from musclefit.errors import FieldError
 from musclefit.fields.evaluation.neighbours import Cells
 from musclefit.fields.kernels import kernel_named
@@ -111,11 +112,13 @@ def _coarse(at: Points) -> tuple[float, Int]:
     extent = float(np.linalg.norm(np.ptp(at, axis=0))) or 1.0
     if len(at) <= min(FEW, BASE):
         return extent, np.arange(len(at))
-    spacing, nobody = extent / 4.0, np.zeros(len(at), dtype=bool)
+    spacing, nobody, enough = extent / 4.0, np.zeros(len(at), dtype=bool), min(BASE, len(at) // 2)
     while True:
-        found = _apart(at, nobody, spacing, before=np.zeros(0, dtype=np.int64))
-        if len(found) >= min(BASE, len(at) // 2):
-            return spacing, found
+        candidates = _one_each(at, np.arange(len(at)), spacing)
+        if len(candidates) >= enough:  # no more than these are apart
+            found = _alone(at, candidates, nobody, spacing)
+            if len(found) >= enough:
+                return spacing, found
         spacing /= 1.2
 
 
@@ -124,10 +127,24 @@ def _apart(at: Points, met: Bool, spacing: float, *, before: Int) -> Int:
 
     Those of ``before`` come first.
     """
-    waiting = np.concatenate([before[~met[before]], np.setdiff1d(np.flatnonzero(~met), before)])
+    others = ~met
+    others[before] = False
+    waiting = np.concatenate([before[~met[before]], np.flatnonzero(others)])
+    return _alone(at, _one_each(at, waiting, spacing), met, spacing)
+
+
+def _one_each(at: Points, waiting: Int, spacing: float) -> Int:
+    """The first of those waiting in each cell of a grid, in their order."""
     cells = np.floor((at[waiting] - at.min(axis=0)) / spacing)
-    _, one_each = np.unique(cells, axis=0, return_index=True)
-    candidates = waiting[np.sort(one_each)]
+    order = np.lexsort(cells.T)  # keeps the order of those in one cell
+    firsts = np.ones(len(order), dtype=bool)
+    firsts[1:] = (cells[order[1:]] != cells[order[:-1]]).any(axis=1)
+    found: Int = waiting[np.sort(order[firsts])]
+    return found
+
+
+def _alone(at: Points, candidates: Int, met: Bool, spacing: float) -> Int:
+    """Candidates that are too close to none that is met, and to none of the candidates before them."""
     fixed = np.flatnonzero(met)
     both = np.concatenate([fixed, candidates])
     pairs = cKDTree(at[both]).query_pairs(APART * spacing, output_type="ndarray")
@@ -144,7 +161,8 @@ def _level(at: Points, left: Points, *, new: Int, met: Bool, support: float, tol
     # What no chain of supports joins to a new handle stays as it is.
     _, group = connected_components(matrix, directed=False)
     joined = np.isin(group, group[: len(new)])
-    here, matrix = here[joined], sparse.csr_matrix(matrix[joined][:, joined])
+    if not joined.all():
+        here, matrix = here[joined], sparse.csr_matrix(matrix[joined][:, joined])
     weights = _solved(matrix, left[here], tolerance=tolerance)
     counts = np.flatnonzero(np.abs(weights).max(axis=1) > 1e-3 * tolerance)
     n = at.shape[1]
@@ -165,23 +183,46 @@ def _level(at: Points, left: Points, *, new: Int, met: Bool, support: float, tol
 
 def _solved(matrix: sparse.csr_matrix, data: Points, *, tolerance: float) -> Float:
     """Weights of a compact sum with these values at its centres: conjugate gradients, each column by itself."""
-    weights, left = np.zeros_like(data), data.copy()
-    ahead, square = left.copy(), (left**2).sum(axis=0)
+    weights, left, image = np.zeros_like(data), data.copy(), np.empty_like(data)
+    ahead, square = left.copy(), _dots(left, left)
     for _ in range(MOST_ITERATIONS):
         if np.abs(left).max() <= tolerance:
             break
-        image = matrix @ ahead
-        step = square / np.maximum((ahead * image).sum(axis=0), 1e-300)
+        multiply_rows(matrix.indptr, matrix.indices, matrix.data, ahead, image)
+        step = square / np.maximum(_dots(ahead, image), 1e-300)
         weights += step * ahead
-        left -= step * image
-        before, square = square, (left**2).sum(axis=0)
-        ahead = left + square / np.maximum(before, 1e-300) * ahead
+        image *= step
+        left -= image
+        before, square = square, _dots(left, left)
+        ahead *= square / np.maximum(before, 1e-300)
+        ahead += left
     return weights
+
+
+def _dots(a: Points, b: Points) -> Float:
+    """Column by column."""
+    found: Float = np.einsum("ij,ij->j", a, b)
+    return found
+
+
+@threaded(over="image", least=4096)
+def multiply_rows(
+    begin: int, end: int, starts: Int, columns: Int, entries: Float, vectors: Points, image: Points
+) -> None:
+    """Write the product of a sparse matrix, by rows, and vectors (N, n) to ``image`` (N, n)."""
+    for i in range(begin, end):
+        image[i] = 0.0
+        for at in range(starts[i], starts[i + 1]):
+            for k in range(vectors.shape[1]):
+                image[i, k] += entries[at] * vectors[columns[at], k]
 
 
 def _matrix(at: Points, support: float) -> sparse.csr_matrix:
     """Wendland's C2 function of the distances between centres, where they see each other."""
     pairs = cKDTree(at).query_pairs(support, output_type="ndarray")
-    q = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1) / support
-    half = sparse.csr_matrix(((1.0 - q) ** 4 * (4.0 * q + 1.0), (pairs[:, 0], pairs[:, 1])), shape=(len(at),) * 2)
-    return sparse.csr_matrix(half + half.T + sparse.eye(len(at)))
+    a, b, every = pairs[:, 0], pairs[:, 1], np.arange(len(at))
+    apart = at[a] - at[b]
+    q = np.sqrt(np.einsum("ij,ij->i", apart, apart)) / support
+    entries = (1.0 - q) ** 4 * (4.0 * q + 1.0)
+    rows, columns = np.concatenate([a, b, every]), np.concatenate([b, a, every])
+    return sparse.csr_matrix((np.concatenate([entries, entries, np.ones(len(at))]), (rows, columns)))

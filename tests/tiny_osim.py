@@ -187,3 +187,71 @@ def opensim_places(path: Path, values: dict[str, float]) -> dict[str, tuple[np.n
         rotation = np.array([[turn.get(i, j) for j in range(3)] for i in range(3)])
         places[bodies.get(k).getName()] = rotation, 1000.0 * np.array([place.p().get(i) for i in range(3)])
     return places
+
+
+def offset_frame(name: str, parent: str, at: str, inside: str = "") -> str:
+    """A frame that is turned and moved from another."""
+    return (
+        f'<PhysicalOffsetFrame name="{name}">{inside}<socket_parent>{parent}</socket_parent>'
+        f"<translation>{at}</translation><orientation>0.3 0.1 -0.2</orientation></PhysicalOffsetFrame>"
+    )
+
+
+def marker(name: str, frame: str) -> str:
+    return (
+        f'<Marker name="{name}"><socket_parent_frame>{frame}</socket_parent_frame>'
+        "<location>0 0.01 0.02</location></Marker>"
+    )
+
+
+def with_offset_frames() -> str:
+    """The model with things in offset frames: of joints, where three have one name, of bodies, and in each other."""
+    wrap = (
+        '<WrapObjectSet name="wrapobjectset"><objects><WrapSphere name="ball"><xyz_body_rotation>0 0 0'
+        "</xyz_body_rotation><translation>0 0.01 0</translation><radius>0.01</radius></WrapSphere></objects><groups/>"
+        "</WrapObjectSet>"
+    )
+    mesh = (
+        '<attached_geometry><Mesh name="toes"><socket_frame>..</socket_frame><mesh_file>foot.stl</mesh_file></Mesh>'
+        "</attached_geometry>"
+    )
+    inner = offset_frame("plate", "/bodyset/foot", "0.01 0.02 0.03", wrap)
+    outer = offset_frame("tip", "/bodyset/foot/plate", "0 0 0.04", mesh)
+    markers = "".join(
+        marker(name, frame)
+        for name, frame in (
+            ("at_knee", "/jointset/kneejoint/shank_offset"),
+            ("at_cap", "/jointset/capjoint/shank_offset"),
+            ("at_ankle", "../../jointset/ankle/shank_offset"),
+            ("at_root", "/jointset/root/hip_offset"),
+            ("on_tip", "/bodyset/foot/tip"),
+        )
+    )
+    return (
+        MODEL.replace('<Body name="foot">', f'<Body name="foot"><components>{inner}{outer}</components>')
+        .replace('<MarkerSet name="markerset"><objects>', f'<MarkerSet name="markerset"><objects>{markers}')
+        .replace("<socket_child_frame>foot_offset<", "<socket_child_frame>/jointset/ankle/foot_offset<")
+        .replace(
+            "<socket_parent>/bodyset/foot</socket_parent><translation>0 0.05 0",
+            "<socket_parent>/bodyset/foot/plate</socket_parent><translation>0 0.05 0",
+        )
+    )
+
+
+def opensim_markers(path: Path, values: dict[str, float]) -> dict[str, np.ndarray]:
+    """Where OpenSim's own library has the markers, mm."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import opensim
+    opensim.Logger.setLevelString("Off")
+    model = opensim.Model(str(path))
+    state = model.initSystem()
+    coordinates = model.getCoordinateSet()
+    for k in range(coordinates.getSize()):
+        coordinates.get(k).setLocked(state, False)
+        coordinates.get(k).setValue(state, values[coordinates.get(k).getName()], False)
+    model.realizePosition(state)
+    found = [model.getMarkerSet().get(k) for k in range(model.getMarkerSet().getSize())]
+    return {m.getName(): 1000.0 * np.array([m.getLocationInGround(state).get(i) for i in range(3)]) for m in found}

@@ -18,7 +18,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.anatomy import read_surface
 from musclefit.io.drives.opensim import coordinate_motion
-from musclefit.io.formats.osim import WRAP_SIZES, BodyPoint, OpenSimModel, WrapObject
+from musclefit.io.formats.osim import WRAP_SIZES, BodyPoint, OpenSimModel, WrapObject, parse_osim
 from musclefit.io.formats.rows import csv_of
 from musclefit.io.formats.texts import read_bytes
 from musclefit.io.formats.xml_in_place import Element, replaced
@@ -40,6 +40,9 @@ from musclefit.workflows.results import Shown
 
 Move = Callable[[Points], Points]
 _M = Unit.METRE.in_mm
+AGREED_MM = 1e-6
+"""How far bodies may be from where they are meant, and joints may differ on a frame that they share."""
+
 LENGTHS = ("optimal_fiber_length", "tendon_slack_length")
 
 
@@ -277,20 +280,25 @@ class _Carrier:
         self.wraps: dict[str, FittedWrap] = {}
         self.left: list[str] = []
         self.count = 0
+        self.jointed = model
 
     def edits(self) -> list[tuple[Element, str]]:
-        edits = [edit for joint in self.model.multibody.joints for edit in self._joint(joint)]
+        edits = self._joints()
         moved = {
             id(point): self.after[point.body].inverse()(self._gone(point.body, point.at[None]))[0]
             for point in self.model.points
         }
-        for point in self.model.points:
+        for point, now in zip(self.model.points, self.jointed.points, strict=True):
             if point.body == GROUND:
                 self.left.append(f"{point.kind} {point.name!r}: stands on the ground")
                 continue
-            edits.append((point.element, _text(point.frame.inverse()(moved[id(point)][None])[0] / _M)))
+            edits.append((point.element, _text(now.frame.inverse()(moved[id(point)][None])[0] / _M)))
             self.count += 1
-        edits += [edit for wrap in self.model.wraps if wrap.body != GROUND for edit in self._wrap(wrap)]
+        for wrap, there in zip(self.model.wraps, self.jointed.wraps, strict=True):
+            if wrap.body == GROUND:
+                self.left.append(f"{wrap.kind} {wrap.name!r}: stands on the ground")
+                continue
+            edits += self._wrap(wrap, there.frame)
         edits += self._lengths(moved)
         self.left += [
             f"MovingPathPoint {found.name!r}: its functions are kept"
@@ -304,6 +312,30 @@ class _Carrier:
             return self.after[body](self.fits[body].factors * local)
         ground = self.before[body](local)
         return ground if body == GROUND else self.move(ground)
+
+    def _joints(self) -> list[tuple[Element, str]]:
+        """The places of all joints' frames; the model with them alone shows where else frames have gone by that."""
+        edits: dict[int, tuple[Element, str]] = {}
+        for joint in self.model.multibody.joints:
+            for element, text in self._joint(joint):
+                _, said = edits.setdefault(id(element), (element, text))
+                self._require_agreed(joint.name, element.line, _M * _apart(said, text))
+        self.jointed = parse_osim(replaced(self.model.data, list(edits.values())), source=self.model.source)
+        for body, place in self.jointed.multibody.places({}).items():
+            off = np.linalg.norm(place.translation - self.after[body].translation)
+            if not off < AGREED_MM:
+                raise InputError(
+                    f"{self.model.source}: body {body!r} would stand {off:.3g} mm from where it is meant to: its joint "
+                    "is in a frame that another joint moves; give it frames of its own"
+                )
+        return list(edits.values())
+
+    def _require_agreed(self, joint: str, line: int, off_mm: float) -> None:
+        if not off_mm < AGREED_MM:
+            raise InputError(
+                f"{self.model.source}: line {line}: joint {joint!r} shares this place of a frame with another joint, "
+                f"and the two take it {off_mm:.3g} mm apart; give each joint frames of its own"
+            )
 
     def _joint(self, joint: BodyJoint) -> list[tuple[Element, str]]:
         """The places of a joint's frames, and by them that of the child."""
@@ -319,14 +351,24 @@ class _Carrier:
             new_frame = RigidMotion(frame.rotation, at[0])
         motion = joint.in_parent.inverse() @ joint.place(values) @ joint.in_child
         middle = new_frame @ motion
+        for body, told, place in (
+            (joint.parent, in_parent, joint.in_parent),
+            (joint.child, in_child, joint.in_child),
+        ):
+            if told is None and body != GROUND and place.translation.any():
+                self.left.append(
+                    f"joint {joint.name!r}: its frame on {body!r} is none of its own, and stays in the body"
+                )
         edits = []
         if in_parent is not None:
-            edits.append((in_parent, _text(parent.inverse()(new_frame.translation[None])[0] / _M)))
+            at = (parent @ in_parent.frame).inverse()(new_frame.translation[None])
+            edits.append((in_parent.element, _text(at[0] / _M)))
         origin = (middle @ joint.in_child.inverse()).translation
         if in_child is not None:
             origin = self._origin(joint, middle)
             place = RigidMotion(turn, origin)
-            edits.append((in_child, _text(place.inverse()(middle.translation[None])[0] / _M)))
+            at = (place @ in_child.frame).inverse()(middle.translation[None])
+            edits.append((in_child.element, _text(at[0] / _M)))
         self.after[joint.child] = RigidMotion(turn, origin)
         return edits
 
@@ -342,12 +384,12 @@ class _Carrier:
             return at
         return middle.translation - place.rotation @ (fit.factors * joint.in_child.translation)
 
-    def _wrap(self, wrap: WrapObject) -> list[tuple[Element, str]]:
+    def _wrap(self, wrap: WrapObject, frame: RigidMotion) -> list[tuple[Element, str]]:
         samples = wrap_samples(wrap.kind, wrap.sizes_mm)
         moved = self._gone(wrap.body, wrap.place(samples))
         fit = fitted_wrap(wrap.kind, wrap.sizes_mm, samples=samples, moved=moved)
         self.wraps[f"{wrap.body}/{wrap.name}"] = fit
-        place = self.after[wrap.body].inverse() @ fit.place
+        place = (self.after[wrap.body] @ frame).inverse() @ fit.place
         turn = Rotation.from_matrix(place.rotation).as_euler("XYZ")
         texts = {"xyz_body_rotation": _text(turn), "translation": _text(place.translation / _M)}
         sizes = fit.sizes_mm / _M
@@ -399,12 +441,12 @@ class _Carrier:
     def meshes(self, files: Sequence[Path | None]) -> list[tuple[str, bytes]]:
         """The meshes where the map takes them, in their own frames, and their names."""
         written: list[tuple[str, bytes]] = []
-        for mesh, path in zip(self.model.meshes, files, strict=True):
+        for mesh, now, path in zip(self.model.meshes, self.jointed.meshes, files, strict=True):
             if path is None:
                 continue
             raw = read_surface(path, units=Unit.METRE)
             gone = self._gone(mesh.body, mesh.place(raw.vertices * mesh.factors))
-            local = (self.after[mesh.body] @ mesh.place).inverse()(gone) / mesh.factors / _M
+            local = (self.after[mesh.body] @ now.place).inverse()(gone) / mesh.factors / _M
             name = f"{mesh.body}__{path.stem}"
             taken = [stem.rpartition(".")[0] for stem, _ in written]
             while name in taken:
@@ -415,6 +457,11 @@ class _Carrier:
 
 def _length(places: Sequence[Points]) -> float:
     return float(np.linalg.norm(np.diff(np.array(places), axis=0), axis=1).sum())
+
+
+def _apart(text: str, other: str) -> float:
+    """How far two places are that a file states."""
+    return float(np.linalg.norm(np.subtract(*(np.array(said.split(), dtype=float) for said in (text, other)))))
 
 
 def _text(values: Float) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_osim import MODEL, MOTION, opensim_places, write_tiny_osim
+from tiny_osim import MODEL, MOTION, opensim_markers, opensim_places, with_offset_frames, write_tiny_osim
 
 import musclefit as mf
 from musclefit.cli import main
@@ -250,10 +250,85 @@ def test_a_joint_in_a_frame_of_its_body_keeps_the_frame(carried: tuple[Path, Pat
     )
     text = text.replace("<socket_child_frame>cap_offset<", "<socket_child_frame>/bodyset/cap/cap_offset<")
     model.write_text(text)
-    mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    made = mf.export_osim(rig, model, tmp_path / "out", progress=None)
     old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, tmp_path / "out" / "tiny.osim"))
     before, after = old.multibody.places({}), new.multibody.places({})
     (one,) = [point for point in old.points if point.body == "cap"]
     (other,) = [point for point in new.points if point.body == "cap"]
     meant = LINEAR @ before["cap"](one.at[None])[0] + SHIFT
     np.testing.assert_allclose(after["cap"](other.at[None])[0], meant, atol=1e-6)
+    assert "joint 'capjoint': its frame on 'cap' is none of its own, and stays in the body" in made.left
+
+
+def test_what_stands_in_offset_frames_is_carried_like_the_rest(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    """Markers, a wrap object, a mesh and a joint in frames that joints move, of one name, or on each other."""
+    model, rig = carried
+    model.write_text(with_offset_frames())
+    made = mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    out = tmp_path / "out" / "tiny.osim"
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, out))
+    before, after = old.multibody.places({}), new.multibody.places({})
+    opened = opensim_places(out, new.multibody.values({}))
+    for body, (rotation, translation) in opened.items():
+        np.testing.assert_allclose(translation, after[body].translation, atol=1e-9)
+        np.testing.assert_allclose(rotation, after[body].rotation, atol=1e-12)
+        meant = LINEAR @ before[body].translation + SHIFT
+        np.testing.assert_allclose(translation, meant, atol=1e-6)
+    markers = opensim_markers(out, new.multibody.values({}))
+    assert len(markers) == 6
+    for one in old.points:
+        if one.kind == "Marker":
+            meant = LINEAR @ before[one.body](one.at[None])[0] + SHIFT
+            np.testing.assert_allclose(markers[one.name], meant, atol=1e-6)
+    ball, moved = (next(wrap for wrap in read.wraps if wrap.name == "ball") for read in (old, new))
+    samples = before["foot"](ball.place(wrap_samples(ball.kind, ball.sizes_mm)))
+    there = after["foot"](moved.place(wrap_samples(moved.kind, moved.sizes_mm)))
+    np.testing.assert_allclose(there.mean(axis=0), LINEAR @ samples.mean(axis=0) + SHIFT, atol=1e-3)
+    rest, toes = next(both for both in zip(old.meshes, new.meshes, strict=True) if both[0].place.translation.any())
+    vertices = surface_of(tmp_path / "out" / "Geometry" / toes.file)
+    meant = before["foot"](rest.place(surface_of(model.parent / "Geometry" / "foot.stl"))) @ LINEAR.T + SHIFT
+    found = after["foot"](toes.place(vertices))
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(meant, axis=0), atol=1e-3)
+    assert not any("none of its own" in said for said in made.left)
+
+
+def test_two_joints_on_one_frame_must_agree_on_it(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    """As parents they do; as child of one and parent of another they would take it to two places."""
+    model, rig = carried
+    shared = MODEL.replace(
+        "<socket_parent_frame>shank_offset</socket_parent_frame><socket_child_frame>cap_offset<",
+        "<socket_parent_frame>/jointset/ankle/shank_offset</socket_parent_frame><socket_child_frame>cap_offset<",
+    )
+    assert shared != MODEL
+    model.write_text(shared)
+    mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, tmp_path / "out" / "tiny.osim"))
+    meant = LINEAR @ old.multibody.places({})["cap"].translation + SHIFT
+    np.testing.assert_allclose(new.multibody.places({})["cap"].translation, meant, atol=1e-6)
+    model.write_text(shared.replace("/jointset/ankle/shank_offset<", "/jointset/kneejoint/shank_offset<"))
+    with pytest.raises(mf.InputError, match=r"joint 'capjoint' shares this place of a frame with another joint, and"):
+        mf.export_osim(rig, model, tmp_path / "again", progress=None)
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_joint_in_a_frame_that_another_moves_is_refused(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    model, rig = carried
+    model.write_text(
+        re.sub(
+            r"(capjoint.*?<socket_parent>)/bodyset/shank<", r"\1/jointset/ankle/shank_offset<", MODEL, flags=re.DOTALL
+        )
+    )
+    with pytest.raises(mf.InputError, match=r"body 'cap' would stand .* mm from where it is meant to"):
+        mf.export_osim(rig, model, tmp_path / "out", progress=None)
+
+
+def test_what_stands_on_the_ground_is_told(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    model, rig = carried
+    wrap = (
+        '<Ground name="ground"><WrapObjectSet name="w"><objects><WrapSphere name="stone"><translation>0 0 0'
+        "</translation><xyz_body_rotation>0 0 0</xyz_body_rotation><radius>0.1</radius></WrapSphere></objects>"
+        "</WrapObjectSet></Ground>"
+    )
+    model.write_text(MODEL.replace('<BodySet name="bodyset">', f'{wrap}<BodySet name="bodyset">'))
+    made = mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    assert "WrapSphere 'stone': stands on the ground" in made.left

@@ -19,6 +19,7 @@ STARTED_ONLY = {
     "forearm_backends.py": "--no-certificate",
 }
 STARTED_ONLY |= {"regions.py": "--prepare-only", "fig8_forearm_motion.py": "--frames", "fig9_jump.py": "--workers"}
+STARTED_ONLY |= {"opensim_models.py": "--frames"}
 STARTED_ONLY |= {"cost_model.py": "--write", "forearm_architecture.py": "--report", "measure.py": "take"}
 STARTED_ONLY |= {"forearm_moment_arms.py": "--plot", "control_points.py": "--count", "scan_fits.py": "--only"}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
@@ -93,6 +94,21 @@ def test_fig1_folds_in_one_shot_and_not_after_subdivision(tmp_path: Path) -> Non
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["fig1_subdivision.md", "fig1_subdivision.png"]
     written = (tmp_path / "out" / "fig1_subdivision.md").read_text(encoding="utf-8")
     assert table_rows(written) == table_rows(ended.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.anatomy
+def test_an_opensim_model_is_carried_over_its_motion(tmp_path: Path) -> None:
+    ended = run("opensim_models.py", "--model", "arm26", "--frames", "4", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "subject: passed; map certified" in ended.stdout
+    places = re.findall(r"bodies within (\S+) mm of OpenSim's places, rotations within (\S+)", ended.stdout)
+    assert len(places) == 2
+    assert all(float(mm) < 1e-9 and float(turn) < 1e-12 for mm, turn in places)
+    points = re.search(r"38 points at rest within (\S+) mm of where the map takes them", ended.stdout)
+    assert points is not None
+    assert float(points[1]) < 1e-9
+    assert "r_humerus scaled linearly by 1.07" in ended.stdout
 
 
 @pytest.mark.slow

@@ -35,12 +35,17 @@ def triangle(*corners: tuple[float, float]) -> TriMesh:
         triangle((0, 0), (10, 0), (9.9, 1.5)),
         triangle((0, 0), (10, 0), (5, 40)),
         triangle((0, 0), (10, 0), (5, 0.0)),
+        triangle((0, 0), (0, 0), (10, 0)),
     ],
 )
 def test_the_largest_gap_of_a_triangle_is_what_a_dense_search_finds(mesh: TriMesh) -> None:
     found = cKDTree(mesh.vertices).query(places_on(mesh))[0].max()
     assert found <= largest_gap(mesh) + 1e-9
     assert largest_gap(mesh) == pytest.approx(found, rel=0.03)
+
+
+def test_a_triangle_that_is_a_point_has_no_gap() -> None:
+    assert largest_gap(triangle((7, 7), (7, 7), (7, 7))) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("spacing", [1.0, 3.0, 100.0])

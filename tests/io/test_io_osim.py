@@ -8,11 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_osim import MODEL, MOTION, opensim_places, write_tiny_osim
+from tiny_osim import (
+    MODEL,
+    MOTION,
+    offset_frame,
+    opensim_markers,
+    opensim_places,
+    with_offset_frames,
+    write_tiny_osim,
+)
 
 from musclefit.errors import InputError
 from musclefit.io.formats.opensim_motion import parse_opensim_motion
-from musclefit.io.formats.osim import OpenSimModel, parse_osim
+from musclefit.io.formats.osim import OpenSimModel, body_fixed_xyz, parse_osim
 from musclefit.io.formats.xml_in_place import parse_xml, replaced
 from musclefit.io.opensim_geometry import find_geometry
 
@@ -34,6 +42,55 @@ def test_bodies_stand_where_opensim_has_them(tmp_path: Path, seed: int) -> None:
     for body, (rotation, translation) in expected.items():
         np.testing.assert_allclose(places[body].rotation, rotation, atol=1e-12)
         np.testing.assert_allclose(places[body].translation, translation, atol=1e-9)
+
+
+def test_frames_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    """Markers, a wrap object and a mesh in offset frames, three of them called shank_offset, stand as in OpenSim."""
+    path = write_tiny_osim(tmp_path / "model")
+    path.write_text(with_offset_frames())
+    model = parse_osim(path.read_bytes(), source="m")
+    pose = dict.fromkeys(model.multibody.coordinates, 0.3)
+    values, places = model.multibody.values(pose), model.multibody.places(pose)
+    theirs = opensim_markers(path, values)
+    ours = {p.name: places[p.body](p.at[None])[0] for p in model.points if p.kind == "Marker"}
+    assert ours.keys() == theirs.keys()
+    assert len({tuple(at.round(6)) for at in ours.values()}) == 6
+    for name, at in ours.items():
+        np.testing.assert_allclose(at, theirs[name], atol=1e-9)
+    turn = body_fixed_xyz(np.array([0.3, 0.1, -0.2]))
+    (ball,) = [wrap for wrap in model.wraps if wrap.name == "ball"]
+    np.testing.assert_allclose(ball.place.translation, [10, 20, 30] + turn @ [0, 10, 0], atol=1e-12)
+    toes, _ = [mesh for mesh in model.meshes if mesh.file == "foot.stl"]
+    np.testing.assert_allclose(toes.place.translation, [10, 20, 30] + turn @ [0, 0, 40], atol=1e-12)
+    np.testing.assert_allclose(toes.place.rotation, turn @ turn, atol=1e-12)
+
+
+def test_a_mesh_on_the_frame_of_a_joint_is_read() -> None:
+    mesh = '<attached_geometry><Mesh name="m"><mesh_file>hip.stl</mesh_file></Mesh></attached_geometry>'
+    name = '<PhysicalOffsetFrame name="cap_offset">'
+    model = parse_osim(MODEL.replace(name, name + mesh).encode(), source="m")
+    (found,) = [one for one in model.meshes if one.body == "cap"]
+    np.testing.assert_allclose(found.place.translation, [0, 50, 0], atol=1e-12)
+
+
+def test_a_name_that_several_frames_have_is_refused() -> None:
+    text = with_offset_frames().replace("/jointset/capjoint/shank_offset<", "shank_offset<")
+    with pytest.raises(
+        InputError, match=r"names frame 'shank_offset', and 3 frames have that name \(lines .*; state the"
+    ):
+        parse_osim(text.encode(), source="m")
+    once = with_offset_frames().replace("/bodyset/foot/tip<", "tip<")
+    assert len(parse_osim(once.encode(), source="m").points) == len(
+        parse_osim(with_offset_frames().encode(), source="m").points
+    )
+
+
+def test_frames_on_each_other_in_a_ring_are_refused() -> None:
+    ring = offset_frame("one", "/bodyset/cap/two", "0 0 0") + offset_frame("two", "/bodyset/cap/one", "0 0 0")
+    text = MODEL.replace('<Body name="cap">', f'<Body name="cap"><components>{ring}</components>')
+    text = text.replace("<socket_child_frame>cap_offset<", "<socket_child_frame>/bodyset/cap/one<")
+    with pytest.raises(InputError, match=r"names frame '/bodyset/cap/.*', which is not there"):
+        parse_osim(text.encode(), source="m")
 
 
 def test_the_old_layout_says_the_same_as_the_new() -> None:

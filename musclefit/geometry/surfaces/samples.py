@@ -97,6 +97,10 @@ def surface_places(mesh: TriMesh, *, spacing_mm: float) -> tuple[Points, float]:
     return np.concatenate(found), float((gaps / parts).max(initial=0.0))
 
 
+_NO_SIDE_MM = 1e-100
+"""Stands for a side without length; its square is still above 0."""
+
+
 def largest_gap(mesh: TriMesh) -> float:
     """How far a place of a surface may be from the nearest corner of its triangle, at most, mm."""
     return float(_gaps(mesh.corners()).max(initial=0.0))
@@ -105,7 +109,7 @@ def largest_gap(mesh: TriMesh) -> float:
 def _gaps(corners: Points) -> Float:
     """(T,) the same for each of (T, 3, 3) triangles."""
     sides = np.sort(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2), axis=1)
-    a, b, c = (np.maximum(side, 1e-300) for side in sides.T)
+    a, b, c = (np.maximum(side, _NO_SIDE_MM) for side in sides.T)
     # Acute: the middle of the circumscribed circle. Obtuse (c the longest side): where the place is as far from the
     # blunt corner as from a sharp one, on the side c.
     cos_a = (b * b + c * c - a * a) / (2.0 * b * c)

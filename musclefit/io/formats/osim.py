@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -99,6 +99,15 @@ class WrapObject:
     sizes_mm: Float
     element: Element
     frame: RigidMotion
+    """Of the numbers, in the body's, mm."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FramePlace:
+    """Where the place of a joint's frame stands in the file, and the frame that its numbers are in, in the body's."""
+
+    element: Element
+    frame: RigidMotion
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,8 +124,9 @@ class OpenSimModel:
     wraps : tuple of WrapObject
     not_followed : tuple of str
         What the kinematics leave out, in words.
-    joint_places : mapping of joint to two Elements or None
-        Where the places of its frames in parent and child stand; None where they are the bodies' own.
+    joint_places : mapping of joint to two FramePlaces or None
+        Where the places of its frames in parent and child stand; None where they are the bodies' own, or those of
+        frames that no joint holds.
     data : bytes
     root : Element
     """
@@ -129,7 +139,7 @@ class OpenSimModel:
     points: tuple[BodyPoint, ...]
     wraps: tuple[WrapObject, ...]
     not_followed: tuple[str, ...]
-    joint_places: Mapping[str, tuple[Element | None, Element | None]]
+    joint_places: Mapping[str, tuple[FramePlace | None, FramePlace | None]]
     data: bytes
     root: Element
 
@@ -169,8 +179,14 @@ class _Reader:
     data: bytes
     root: Element
     bodies: Mapping[str, Element] | None = None
-    joint_places: dict[str, tuple[Element | None, Element | None]] = field(default_factory=dict)
+    joint_places: dict[str, tuple[FramePlace | None, FramePlace | None]] = field(default_factory=dict)
     length_mm: float = 1000.0
+    paths: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    """Of each component, by the id of its element."""
+    frames: dict[tuple[str, ...], Element] = field(default_factory=dict)
+    """The offset frames, by their paths."""
+    of_joints: set[int] = field(default_factory=set)
+    """Ids of the offset frames that joints hold."""
 
     def read(self) -> OpenSimModel:
         unit = self.model.words("length_units") or "meters"
@@ -181,6 +197,7 @@ class _Reader:
         if not bodies:
             raise InputError(f"{self.source}: the model has no body; expected a <BodySet> with bodies")
         self.bodies = bodies
+        self._index(self.model, ())
         coordinates: dict[str, Coordinate] = {}
         joints = [self._joint(element, child, coordinates) for element, child in self._joints()]
         multibody = Multibody.of(joints, coordinates, self._couplers(coordinates), source=self.source)
@@ -224,14 +241,13 @@ class _Reader:
             parent = joint.words("parent_body")
             in_parent = self._frame_of(joint, "location_in_parent", "orientation_in_parent")
             in_child = self._frame_of(joint, "location", "orientation")
-            self.joint_places[joint.name] = joint.child("location_in_parent"), joint.child("location")
+            at_parent, at_child = (
+                _place(joint.child(tag), RigidMotion.identity()) for tag in ("location_in_parent", "location")
+            )
         else:
-            offsets = self._offsets(joint)
-            parent, in_parent = self._named(joint, "parent_frame", offsets)
-            child, in_child = self._named(joint, "child_frame", offsets)
-            own = {frame.name: frame.child("translation") for frame in joint.objects("frames")}
-            sockets = (_socket(joint, "parent_frame"), _socket(joint, "child_frame"))
-            self.joint_places[joint.name] = own.get(sockets[0]), own.get(sockets[1])
+            parent, in_parent, at_parent = self._joined(joint, "parent_frame")
+            child, in_child, at_child = self._joined(joint, "child_frame")
+        self.joint_places[joint.name] = at_parent, at_child
         listed = list(joint.all("Coordinate"))
         turns, slides = self._axes(joint, [element.name for element in listed])
         for element in listed:
@@ -340,35 +356,60 @@ class _Reader:
 
     # --- frames
 
-    def _offsets(self, joint: Element) -> dict[str, tuple[str, RigidMotion]]:
-        """The frames that a joint holds: on what they stand, and where."""
-        found = {}
-        for frame in joint.objects("frames"):
-            parent = _socket(frame, "parent")
-            body, place = self._resolve(parent, frame)
-            found[frame.name] = body, place @ self._frame_of(frame, "translation", "orientation")
-        return found
+    def _index(self, element: Element, path: tuple[str, ...]) -> None:
+        """The paths of the components below an element, and the offset frames by them."""
+        for child in element.children:
+            name = child.name or (child.tag.lower() if child.tag.endswith("Set") and not path else "")
+            there = (*path, name) if name else path
+            self.paths[id(child)] = there
+            if child.tag == "PhysicalOffsetFrame":
+                self.frames.setdefault(there, child)
+            if child.tag in _TURNS:
+                self.of_joints.update(id(frame) for frame in child.objects("frames"))
+            self._index(child, there)
 
-    def _named(
-        self, joint: Element, socket: str, offsets: Mapping[str, tuple[str, RigidMotion]]
-    ) -> tuple[str, RigidMotion]:
+    def _joined(self, joint: Element, socket: str) -> tuple[str, RigidMotion, FramePlace | None]:
+        """The body that a joint's frame is on, its place there, and where that stands if a joint holds it."""
         said = _socket(joint, socket)
         if not said:
             raise self._error(joint, f"joint {joint.name!r} names no {socket}; save the model in OpenSim 4")
-        return offsets[said] if said in offsets else self._resolve(said, joint)
+        body, place = self._resolve(said, joint)
+        frame = self._offset_frame(said, joint)
+        if frame is None or id(frame) not in self.of_joints:
+            return body, place, None
+        return body, place, _place(frame.child("translation"), self._resolve(_socket(frame, "parent"), frame)[1])
 
-    def _resolve(self, path: str, of: Element) -> tuple[str, RigidMotion]:
+    def _offset_frame(self, path: str, of: Element) -> Element | None:
+        """The offset frame that a path names as ``of`` states it, by its last word alone where that is enough."""
+        words = [] if path.startswith("/") else list(self.paths[id(of)])
+        for word in path.split("/"):
+            if word == "..":
+                words = words[:-1]
+            elif word not in ("", "."):
+                words.append(word)
+        if tuple(words) in self.frames:
+            return self.frames[tuple(words)]
+        called = [found for found in self.frames.values() if words and found.name == words[-1]]
+        if len(called) > 1:
+            lines = ", ".join(str(found.line) for found in called)
+            raise self._error(
+                of,
+                f"{of.tag} {of.name!r} names frame {path!r}, and {len(called)} frames have that name (lines {lines}); "
+                "state the whole path, such as /jointset/knee/femur_offset",
+            )
+        return called[0] if called else None
+
+    def _resolve(self, path: str, of: Element, *, deeper: int = 0) -> tuple[str, RigidMotion]:
         """The body of a frame by its path, and the frame's place there."""
         name = path.rstrip("/").rpartition("/")[2]
         bodies = self.bodies or {}
         if name == GROUND or name in bodies:
             return name, RigidMotion.identity()
-        for frame in self.model.all("PhysicalOffsetFrame"):
-            if frame.name == name:
-                parent = _socket(frame, "parent")
-                if parent and parent.rpartition("/")[2] != name:
-                    body, place = self._resolve(parent, frame)
-                    return body, place @ self._frame_of(frame, "translation", "orientation")
+        frame = self._offset_frame(path, of)
+        parent = "" if frame is None else _socket(frame, "parent")
+        if frame is not None and parent and deeper < len(self.frames):
+            body, place = self._resolve(parent, frame, deeper=deeper + 1)
+            return body, place @ self._frame_of(frame, "translation", "orientation")
         known = ", ".join(sorted(bodies)[:8])
         raise self._error(of, f"{of.tag} {of.name!r} names frame {path!r}, which is not there ({known}, ...)")
 
@@ -379,44 +420,49 @@ class _Reader:
 
     # --- what stands on bodies
 
-    def _ground_and_bodies(self) -> Iterator[Element]:
+    def _standing(self, *tags: str) -> Iterator[tuple[Element, Element, str, RigidMotion]]:
+        """Elements on the ground, on bodies and in their offset frames: owner, element, body and the frame's place."""
         ground = self.model.child("Ground")
         if ground is not None:
-            yield ground
-        yield from (self.bodies or {}).values()
+            yield from self._below(ground, tags, (ground, GROUND, RigidMotion.identity()))
+        for name, body in (self.bodies or {}).items():
+            yield from self._below(body, tags, (body, name, RigidMotion.identity()))
+        for frame in self.frames.values():
+            if id(frame) in self.of_joints:
+                yield from self._below(frame, tags, (frame, *self._own_place(frame)))
+
+    def _below(
+        self, element: Element, tags: Sequence[str], on: tuple[Element, str, RigidMotion]
+    ) -> Iterator[tuple[Element, Element, str, RigidMotion]]:
+        for child in element.children:
+            if child.tag in tags:
+                yield on[0], child, on[1], on[2]
+            within = child.tag == "PhysicalOffsetFrame"
+            if not (within and id(child) in self.of_joints):
+                yield from self._below(child, tags, (child, *self._own_place(child)) if within else on)
+
+    def _own_place(self, frame: Element) -> tuple[str, RigidMotion]:
+        return self._resolve("/" + "/".join(self.paths[id(frame)]), frame)
 
     def _meshes(self) -> Iterator[BodyMesh]:
-        for body in self._ground_and_bodies():
-            name = body.name if body.tag == "Body" else GROUND
-            for mesh in body.all("Mesh", "DisplayGeometry"):
-                file = mesh.words("mesh_file") or mesh.words("geometry_file")
-                if not file:
-                    continue
-                factors = self._numbers(mesh, "scale_factors", 3) if mesh.child("scale_factors") else np.ones(3)
-                place = RigidMotion.identity()
-                if mesh.tag == "DisplayGeometry":
-                    visible = body.child("VisibleObject")
-                    if visible is not None and visible.child("scale_factors"):
-                        factors = factors * self._numbers(visible, "scale_factors", 3)
-                    if mesh.child("transform"):
-                        six = self._numbers(mesh, "transform", 6)
-                        place = RigidMotion(body_fixed_xyz(six[:3]), six[3:] * self.length_mm)
-                else:
-                    socket = _socket(mesh, "frame")
-                    if socket not in ("", ".."):
-                        name, place = self._resolve(socket, mesh)
-                    else:
-                        place = self._attached(body, mesh)
-                where = mesh.child("mesh_file") or mesh.child("geometry_file")
-                assert where is not None
-                yield BodyMesh(name, file, place, factors, where)
-
-    def _attached(self, body: Element, mesh: Element) -> RigidMotion:
-        """The place of the frame that a mesh stands in: the body's own, or that of one of its offset frames."""
-        for frame in body.all("PhysicalOffsetFrame"):
-            if any(found is mesh for found in frame.all("Mesh")):
-                return self._resolve(frame.name, frame)[1]
-        return RigidMotion.identity()
+        for owner, mesh, body, frame in self._standing("Mesh", "DisplayGeometry"):
+            file = mesh.words("mesh_file") or mesh.words("geometry_file")
+            if not file:
+                continue
+            factors = self._numbers(mesh, "scale_factors", 3) if mesh.child("scale_factors") else np.ones(3)
+            name, place = body, frame
+            if mesh.tag == "DisplayGeometry":
+                visible = owner.child("VisibleObject")
+                if visible is not None and visible.child("scale_factors"):
+                    factors = factors * self._numbers(visible, "scale_factors", 3)
+                if mesh.child("transform"):
+                    six = self._numbers(mesh, "transform", 6)
+                    place = RigidMotion(body_fixed_xyz(six[:3]), six[3:] * self.length_mm)
+            elif (socket := _socket(mesh, "frame")) not in ("", ".."):
+                name, place = self._resolve(socket, mesh)
+            where = mesh.child("mesh_file") or mesh.child("geometry_file")
+            assert where is not None
+            yield BodyMesh(name, file, place, factors, where)
 
     def _point(self, element: Element, tag: str, *, of: str, kind: str, body: str | None = None) -> BodyPoint:
         path = body or _socket(element, "parent_frame") or element.words("body")
@@ -447,12 +493,10 @@ class _Reader:
                 yield self._point(body, "mass_center", of="", kind="mass_center", body=name)
 
     def _wraps(self) -> Iterator[WrapObject]:
-        for body in self._ground_and_bodies():
-            name = body.name if body.tag == "Body" else GROUND
-            for wrap in body.all(*WRAP_SIZES):
-                sizes = np.concatenate([self._numbers(wrap, tag) for tag in WRAP_SIZES[wrap.tag]]) * self.length_mm
-                place = self._frame_of(wrap, "translation", "xyz_body_rotation")
-                yield WrapObject(wrap.name, wrap.tag, name, place, sizes, wrap, RigidMotion.identity())
+        for _, wrap, body, frame in self._standing(*WRAP_SIZES):
+            sizes = np.concatenate([self._numbers(wrap, tag) for tag in WRAP_SIZES[wrap.tag]]) * self.length_mm
+            place = frame @ self._frame_of(wrap, "translation", "xyz_body_rotation")
+            yield WrapObject(wrap.name, wrap.tag, body, place, sizes, wrap, frame)
 
     def _numbers(self, element: Element, tag: str, count: int | None = None) -> Float:
         child = element.child(tag)
@@ -483,6 +527,10 @@ class _Reader:
 def body_fixed_xyz(angles: Float) -> Float:
     """The rotation by angles (3,), radians, about x, then the new y, then the new z."""
     return np.asarray(Rotation.from_euler("XYZ", angles).as_matrix())
+
+
+def _place(element: Element | None, frame: RigidMotion) -> FramePlace | None:
+    return None if element is None else FramePlace(element, frame)
 
 
 def _off(constraint: Element) -> bool:

@@ -106,13 +106,15 @@ def of_real_bones(data: Path) -> None:
         off = missed(found, KnownJoint(known.name, known.kind, known.fixed, known.moving, known.centre, axes))
         sure = "yes" if JointFit("", "", found).believable else "no"
         turned = f"{off.degrees:.1f} deg" if len(axes) else "-"
-        told = f"{found.uncertain_deg:.1f} deg, {found.uncertain_mm:.1f} mm"
+        told = (f"{found.uncertain_deg:.1f} deg, " if len(axes) else "") + f"{found.uncertain_mm:.1f} mm"
         print(f"| {known.name} | {turned} | {off.mm:.1f} mm | {told} | {sure} |", flush=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fits", type=int, default=20, help="of each shape")
-    synthetic(parser.parse_args().fits)
+    parser.add_argument("--fits", type=int, default=20, help="of each shape; 0 for the real bones alone")
+    fits = parser.parse_args().fits
+    if fits:
+        synthetic(fits)
     if "MUSCLEFIT_DATA" in os.environ:
         of_real_bones(Path(os.environ["MUSCLEFIT_DATA"]))

@@ -54,7 +54,9 @@ class CorrectedField:
         """Both in one pass."""
         values, gradients = self.radial.displacement_and_gradient(points)
         more, steeper = self.local.displacement_and_gradient(points)
-        return values + more, gradients + steeper
+        values += more
+        gradients += steeper
+        return values, gradients
 
     def scaled(self, factor: float) -> Self:
         """The field ``factor`` times as strong."""

@@ -9,7 +9,8 @@ import numpy as np
 
 from musclefit.errors import NotConvergedError
 from musclefit.fields.protocol import Field
-from musclefit.geometry.arrays import Float, Gradients, Points
+from musclefit.flow.newton_updates import advance, cayley_jacobians
+from musclefit.geometry.arrays import Float, Gradients, Int, Points
 
 NEWTON_TOLERANCE_MM = 1e-11
 """An implicit step is solved when its equation holds to this at coordinates up to a metre (in proportion beyond)."""
@@ -20,6 +21,10 @@ NEWTON_MAX_ITERATIONS = 30
 BRANCH_STEPS = 16
 """Strengths of the field through which a solution is followed where Newton's method alone does not find it."""
 BRANCH_TOLERANCE_MM = 1e-3
+TRUSTED_MM = 1e-5
+"""From a residual no larger than this a last update may go unchecked, where only a place is asked for."""
+TRUSTED_SHARE = 0.1
+"""And only where, converging as fast as before, it leaves no more than this share of the tolerance."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -165,12 +170,41 @@ class CayleyStep:
         middle, gradients = _newton(self.field, points, factor=-0.5)
         return Trial(2.0 * middle - points, gradients)
 
+    def trial_from(self, points: Points, middles: Points) -> Trial:
+        """As ``trial``, from guessed (N, n) midpoints, mm.
+
+        Raises
+        ------
+        NotConvergedError
+            No midpoint is found.
+        """
+        middle, gradients = _newton(self.field, points, factor=-0.5, start=middles)
+        return Trial(2.0 * middle - points, gradients)
+
+    def moved_from(self, points: Points, middles: Points) -> Points:
+        """Where points go, from guessed (N, n) midpoints, mm; a last update that is sure to do is not checked.
+
+        Raises
+        ------
+        NotConvergedError
+            No midpoint is found.
+        """
+        moved: Points = 2.0 * _newton(self.field, points, factor=-0.5, start=middles, trusted_mm=TRUSTED_MM)[0] - points
+        return moved
+
     def jacobian_from(self, gradients: Gradients) -> Gradients:
-        """(I + G/2)(I - G/2)^-1."""
-        half = 0.5 * gradients
-        eye = np.eye(gradients.shape[-1])
-        # (I + H)(I - H)^-1 = (I - H)^-1 (I + H): they commute
-        return np.asarray(np.linalg.solve(eye - half, eye + half), dtype=np.float64)
+        """(I + G/2)(I - G/2)^-1.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            I - G/2 is singular at a point.
+        """
+        found: Gradients = np.empty(gradients.shape)
+        cayley_jacobians(np.ascontiguousarray(gradients), found)
+        if np.isnan(found).any() and not np.isnan(gradients).any():
+            raise np.linalg.LinAlgError("Singular matrix")
+        return found
 
     def inverse(self) -> CayleyStep:
         """The same step with the field reversed."""
@@ -184,24 +218,27 @@ def jacobian_between(step: Step, before: Points, after: Points) -> Gradients:
     return step.jacobian(before)
 
 
-def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gradients]:
+def _newton(
+    field: Field, targets: Points, *, factor: float, start: Points | None = None, trusted_mm: float = 0.0
+) -> tuple[Points, Gradients]:
     """Solve y + factor D(y) = target for each point; gives the points and the gradients there.
 
-    By Newton's method from the targets; where that leaves the place in which the map is strictly monotone, along the
-    branch of solutions that begins at the target and grows with the field.
+    By Newton's method from guesses, if there are any, and from the targets; where that leaves the place in which the
+    map is strictly monotone, along the branch of solutions that begins at the target and grows with the field.
     """
     metres = max(1.0, float(np.abs(targets).max(initial=0.0)) / 1000.0)
-    goal = _Goal(NEWTON_TOLERANCE_MM * metres, NEWTON_ROUNDING_MM * metres)
-    found = _descended(field, targets, targets, factor=factor, goal=goal)
+    goal = _Goal(NEWTON_TOLERANCE_MM * metres, NEWTON_ROUNDING_MM * metres, trusted_mm)
+    found = _descended(field, targets, targets if start is None else start, factor=factor, goal=goal)
     left = np.flatnonzero(found.residuals > goal.rounding)
+    if left.size and start is not None:
+        found.put(left, _descended(field, targets[left], targets[left], factor=factor, goal=goal))
+        left = np.flatnonzero(found.residuals > goal.rounding)
     if left.size:
-        start, near = targets[left], _Goal(BRANCH_TOLERANCE_MM, BRANCH_TOLERANCE_MM)
+        begin, near = targets[left], _Goal(BRANCH_TOLERANCE_MM, BRANCH_TOLERANCE_MM, 0.0)
         for number in range(1, BRANCH_STEPS):
             part = factor * number / BRANCH_STEPS
-            start = _descended(field, targets[left], start, factor=part, goal=near).points
-        again = _descended(field, targets[left], start, factor=factor, goal=goal)
-        for whole, better in zip(found, again, strict=True):
-            whole[left] = better
+            begin = _descended(field, targets[left], begin, factor=part, goal=near).points
+        found.put(left, _descended(field, targets[left], begin, factor=factor, goal=goal))
     unsolved = np.flatnonzero(found.residuals > goal.rounding)
     if not unsolved.size:
         return found.points, found.gradients
@@ -215,10 +252,14 @@ def _newton(field: Field, targets: Points, *, factor: float) -> tuple[Points, Gr
 
 
 class _Goal(NamedTuple):
-    """Residuals, mm, at which a point is done: at the first anyway, at the second where no update lowers it further."""
+    """Residuals, mm, at which a point is done: at the first anyway, at the second where no update lowers it further.
+
+    At the third it is done with an update more, where that is sure to do.
+    """
 
     tolerance: float
     rounding: float
+    trusted_mm: float
 
 
 class _Found(NamedTuple):
@@ -226,40 +267,31 @@ class _Found(NamedTuple):
     gradients: Gradients
     residuals: Float
 
+    def put(self, some: Int, better: _Found) -> None:
+        """Take over what is found of some of the points."""
+        for whole, part in zip(self, better, strict=True):
+            whole[some] = part
+
 
 def _descended(field: Field, targets: Points, start: Points, *, factor: float, goal: _Goal) -> _Found:
     """Newton's method from a start; an update that does not lower the residual is taken back and tried half as long.
 
-    Gives the places with the lowest residuals and the gradients there.
+    Gives the places with the lowest residuals and the gradients there. From residuals up to ``goal.trusted_mm`` the
+    last update is not checked: the method squares residuals, r' = c r², and c is known from the update before. The
+    gradients of such a place are those where it was before.
     """
     n = targets.shape[1]
-    tried, kept = np.array(start), np.array(start)
-    gradients, update = np.full((len(targets), n, n), np.nan), np.zeros((len(targets), n))
+    targets = np.ascontiguousarray(targets, dtype=np.float64)
+    tried = np.array(start, dtype=np.float64, order="C")
+    kept, update = tried.copy(), np.zeros((len(targets), n))
+    gradients = np.full((len(targets), n, n), np.nan)
     left = np.arange(len(targets))
     damping, last = np.ones(len(targets)), np.full(len(targets), np.inf)
     for _ in range(NEWTON_MAX_ITERATIONS):
-        here = tried[left]
-        displacement, slope = field.displacement_and_gradient(here)
-        residual = here + factor * displacement - targets[left]
-        size = np.abs(residual).max(axis=1)
-        lower = size < last[left]
-        good, bad = left[lower], left[~lower]
-        kept[good], gradients[good], last[good], damping[good] = here[lower], slope[lower], size[lower], 1.0
-        damping[bad] *= 0.5
-        still = lower & (size > goal.tolerance)
-        update[left[still]] = _newton_update(np.eye(n) + factor * slope[still], residual[still])
-        left = left[np.where(lower, last[left] > goal.tolerance, last[left] > goal.rounding)]
         if not left.size:
             break
-        tried[left] = kept[left] - damping[left, None] * update[left]
+        found, done = field.displacement_and_gradient(tried[left]), np.zeros(len(left), dtype=bool)
+        limits = (factor, goal.tolerance, goal.rounding, goal.trusted_mm, TRUSTED_SHARE)
+        advance(*limits, left, *found, targets, tried, kept, update, damping, last, gradients, done)
+        left = left[~done]
     return _Found(kept, gradients, last)
-
-
-def _newton_update(matrices: Gradients, residuals: Points) -> Points:
-    """Solutions of (N, n, n) systems; the residual itself where the matrix is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, residuals[..., None])[..., 0], dtype=np.float64)
-    except np.linalg.LinAlgError:
-        regular = np.abs(np.linalg.det(matrices)) > 0.0
-        whole = np.where(regular[:, None, None], matrices, np.eye(matrices.shape[1]))
-        return np.asarray(np.linalg.solve(whole, residuals[..., None])[..., 0], dtype=np.float64)

@@ -323,12 +323,15 @@ def measure_carried(
     used = field.used
     fibres = carried_directions(mapped, *field.placed_directions())
     cut, vertices = belly.sections.vertices, surface.vertices.copy()
-    points, vertices[cut] = placed(lines.points), placed(surface.vertices[cut])
+    at_rest = [lines.points, surface.vertices[cut], *(part for _, end in ends.ends for part in _of_end(end))]
+    bounds = np.cumsum([len(part) for part in at_rest])[:-1]
+    points, vertices[cut], *held = np.split(placed(np.concatenate(at_rest)), bounds)
     paths, lengths, angles = lines.measure(points, belly.directions(vertices, lines.position), count=len(found.points))
     whole = found.complete & (lengths > 0.0)
     low, high = (weighted_quantile(fibres.stretch, volumes[used], share) for share in (0.01, 0.99))
     beyond = (fibres.stretch > DOUBLED) | (fibres.stretch < 1.0 / DOUBLED)
-    areas, off, middle = zip(*(_carried_end(end, placed, motions) for _, end in ends.ends), strict=True)
+    pairs = zip(ends.ends, (held[:2], held[2:]), strict=True)
+    areas, off, middle = zip(*(_carried_end(end, *moved, motions) for (_, end), moved in pairs), strict=True)
     return (
         CarriedMuscle(
             name=ends.muscle,
@@ -354,17 +357,22 @@ def measure_carried(
     )
 
 
+def _of_end(end: Attachment) -> tuple[Points, Points]:
+    """The places of an attachment that are carried, at rest."""
+    return end.surface.vertices, end.feet
+
+
 def _carried_end(
-    end: Attachment, placed: Callable[[Points], Points], motions: Mapping[str, RigidMotion]
+    end: Attachment, vertices: Points, feet: Points, motions: Mapping[str, RigidMotion]
 ) -> tuple[float, float | None, Points]:
     """Area over that at rest, how far the map leaves the bone beneath at most, and where the centroid goes."""
-    moved = end.surface.with_vertices(placed(end.surface.vertices))
+    moved = end.surface.with_vertices(vertices)
     areas = np.linalg.norm(area_vectors(moved), axis=1)
     ratio = float(areas.sum()) / end.area_mm2
     middle = np.average(moved.corners().mean(axis=1), axis=0, weights=areas)
     if end.bone not in motions:
         return ratio, None, middle
-    off = np.linalg.norm(placed(end.feet) - motions[end.bone](end.feet), axis=1)
+    off = np.linalg.norm(feet - motions[end.bone](end.feet), axis=1)
     return ratio, float(off.max()), middle
 
 

@@ -7,12 +7,11 @@ between the middles of the two ends.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Float, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.muscles.attachments import MuscleEnds
@@ -52,7 +51,7 @@ class MovingMuscle:
 
 def motion_curves(
     muscles: Sequence[MovingMuscle],
-    stretches: Iterable[tuple[float, float, Deformation]],
+    stretches: Iterable[tuple[float, float, Callable[[Points], Points]]],
     *,
     angles_at: Mapping[float, Mapping[str, float]],
 ) -> tuple[MotionState, ...]:
@@ -62,7 +61,7 @@ def motion_curves(
     ----------
     muscles : sequence of MovingMuscle
     stretches : iterable of (start, end, map of that stretch)
-        Such as `Deformation.by_stretch`.
+        Such as of `Deformation.by_stretch`.
     angles_at : mapping of share of the way to joints' angles, degrees
         At 0 and at every stretch's end; empty where no joint drives.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from musclefit._version import __version__
 from musclefit.anatomy.model import Tissue, TissueKind
 from musclefit.caches import default_cache_folder
 from musclefit.errors import InputError, MeshError
+from musclefit.flow.close_places import moved_together, with_jacobian_together
 from musclefit.flow.deformation import Deformation
 from musclefit.geometry.arrays import Points
 from musclefit.geometry.meshes import TriMesh
@@ -324,8 +326,8 @@ def _carry(
                 one.field,
                 one.lines,
                 belly=one.belly,
-                mapped=deformation.with_jacobian,
-                placed=deformation,
+                mapped=partial(with_jacobian_together, deformation),
+                placed=partial(moved_together, deformation),
                 motions=motions,
             )
             carried.append(row)
@@ -336,7 +338,7 @@ def _carry(
 
 def _curves(job: Job, fibred: Mapping[str, FibredMuscle], deformation: Deformation) -> tuple[MotionState, ...]:
     moving = [MovingMuscle(one.ends, job.anatomy[name].surface, one.lines, one.belly) for name, one in fibred.items()]
-    stretches = list(deformation.by_stretch())
+    stretches = [(start, end, partial(moved_together, part)) for start, end, part in deformation.by_stretch()]
     moments = [0.0, *(end for _, end, _ in stretches)]
     angles = (
         {t: job.motions.pose_at(t) for t in moments} if isinstance(job.motions, (JointMotions, KeyframeMotions)) else {}

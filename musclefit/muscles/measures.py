@@ -330,8 +330,8 @@ def measure_carried(
     whole = found.complete & (lengths > 0.0)
     low, high = (weighted_quantile(fibres.stretch, volumes[used], share) for share in (0.01, 0.99))
     beyond = (fibres.stretch > DOUBLED) | (fibres.stretch < 1.0 / DOUBLED)
-    pairs = zip(ends.ends, (held[:2], held[2:]), strict=True)
-    areas, off, middle = zip(*(_carried_end(end, *moved, motions) for (_, end), moved in pairs), strict=True)
+    parts = zip(ends.ends, held[::2], held[1::2], strict=True)
+    areas, off, middle = zip(*(_carried_end(end, own, feet, motions) for (_, end), own, feet in parts), strict=True)
     return (
         CarriedMuscle(
             name=ends.muscle,

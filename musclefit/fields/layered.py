@@ -112,10 +112,10 @@ class LayeredField:
         cubes = np.repeat(radii[:, None], centres.shape[1], axis=1)
         for rows, layers, slope in self._enclosed(centres, cubes, radii):
             here, reach = np.ascontiguousarray(centres[rows]), np.ascontiguousarray(radii[rows])
-            gradients, off = _added([layer.gradient_ball_bounds(here, reach) for layer in layers])
+            own = [layer.ball_bounds(here, reach) for layer in layers]
+            gradients, off = _added([(one.gradients, one.radii) for one in own])
             found, middles[rows] = _around(gradients, off + slope)
-            own = [layer.strain_ball_bounds(here, reach)[0] for layer in layers]
-            ranges[rows] = _narrower(found, _widened(own, slope))
+            ranges[rows] = _narrower(found, _widened([one.ranges for one in own], slope))
             if len(layers) < len(self.layers):
                 middles[rows] = self._sampled(here, gradients, layers)
         return ranges, middles

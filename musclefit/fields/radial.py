@@ -194,8 +194,13 @@ class RadialField:
 
     def strain_ball_bounds(self, centres: Points, radii: Float) -> tuple[Float, Float]:
         """As ``strain_bounds``, over (B,) balls: tighter than over the cubes around them."""
+        found = self.ball_bounds(centres, radii)
+        return found.ranges, found.middles
+
+    def ball_bounds(self, centres: Points, radii: Float) -> enclosures.GradientAndStrain:
+        """``gradient_ball_bounds`` and ``strain_ball_bounds`` in one pass."""
         half_widths, enough = enclosures.cubes(radii, centres.shape[1]), (np.inf, -np.inf)
-        return enclosures.strain_bounds(self, centres, half_widths, balls=radii, enough=enough)
+        return enclosures.gradient_and_strain_bounds(self, centres, half_widths, balls=radii, enough=enough)
 
     def displacement_bounds(self, centres: Points, half_widths: Float) -> tuple[Points, Float]:
         """Rigorous enclosure of the displacement over boxes: values at the centres and radii, (B, n) each, mm.

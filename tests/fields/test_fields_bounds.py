@@ -165,6 +165,20 @@ def test_no_point_of_a_ball_leaves_its_enclosure(name: str) -> None:
         assert np.all(strains[..., -1].max(axis=1) <= ranges[:, 1] + 1e-9)
 
 
+@pytest.mark.parametrize("name", KERNELS)
+def test_gradient_and_strain_by_one_pass_are_those_of_two(name: str) -> None:
+    rng = np.random.default_rng(8)
+    field = random_field(name, rng)
+    cases = [(boxes(field, rng, size)[0], size) for size in (0.01, 2.0, 15.0)]
+    for centres, size in [*cases, (np.full((1, 3), 1e200), 1e180)]:  # the last overflows
+        radii = rng.uniform(0.0, size, len(centres))
+        found = field.ball_bounds(centres, radii)
+        for one, other in zip(found[:2], field.gradient_ball_bounds(centres, radii), strict=True):
+            np.testing.assert_array_equal(one, other)
+        for one, other in zip(found[2:], field.strain_ball_bounds(centres, radii), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("offset", [0.0, 3000.0])
 @pytest.mark.parametrize("name", KERNELS)
 def test_rounding_is_enclosed_at_single_points(name: str, offset: float) -> None:

@@ -7,7 +7,7 @@ it is off by their own rounding.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -102,21 +102,46 @@ def strain_bounds(
     FieldError
         Boxes of other dimensions than the field's, or half widths that are no sizes.
     """
-    boxes = _prepared(field, centres, half_widths)
+    found = gradient_and_strain_bounds(field, centres, half_widths, balls=balls, enough=enough)
+    return found.ranges, found.middles
+
+
+class GradientAndStrain(NamedTuple):
+    """What one pass over the sources proves: see `gradient_bounds` and `strain_bounds`."""
+
+    gradients: Gradients
+    radii: Float
+    ranges: Float
+    middles: Float
+
+
+def gradient_and_strain_bounds(
+    field: RadialSum, centres: Points, half_widths: Float, *, balls: Float, enough: tuple[float, float]
+) -> GradientAndStrain:
+    """Both `gradient_bounds` and `strain_bounds`, by the same sums.
+
+    Raises
+    ------
+    FieldError
+        Boxes of other dimensions than the field's, or half widths that are no sizes.
+    """
+    boxes, n = _prepared(field, centres, half_widths), centres.shape[1]
+    gradients, radii = np.empty((len(centres), 3, 3)), np.empty(len(centres))
     ranges, middles = np.empty((len(centres), 2)), np.empty((len(centres), 2))
-    planar = centres.shape[1] == 2
     _sums_of(kernel_named(field.kernel)).strains(
         *boxes.field,
         boxes.local,
         boxes.half_widths,
         balls,
         boxes.blur,
-        planar,
+        n == 2,
         np.array(enough, dtype=float),
+        gradients,
+        radii,
         ranges,
         middles,
     )
-    return ranges, middles
+    return GradientAndStrain(np.ascontiguousarray(gradients[:, :n, :n]), radii, ranges, middles)
 
 
 def displacement_bounds(field: RadialSum, centres: Points, half_widths: Float) -> tuple[Points, Float]:

@@ -176,6 +176,30 @@ def _corner_floor(parts, half, ball, sign, quick):
     return middle, max(lowest, middle - deviation)
 
 
+@njit(cache=True, error_model="numpy")
+def _gradient(sums, i, half, ball, h, m, blur, second_order, out):
+    """Write the gradient at a box's centre (3, 3); gives how far from it that of any place of the box is at most."""
+    longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
+    for corner in range(4):
+        sy, sz = half[1] * (1 - 2 * (corner & 1)), half[2] * (1 - (corner & 2))
+        square = 0.0
+        for k in range(3):
+            r = 9 + 6 * k
+            ux = half[0] * sums[r, i] + sy * sums[r + 1, i] + sz * sums[r + 2, i]
+            uy = half[0] * sums[r + 1, i] + sy * sums[r + 3, i] + sz * sums[r + 4, i]
+            uz = half[0] * sums[r + 2, i] + sy * sums[r + 4, i] + sz * sums[r + 5, i]
+            square += ux * ux + uy * uy + uz * uz
+        longest = max(longest, square)
+    if ball < np.inf:
+        longest = min(longest, ball**2 * _derivative_square(sums, i))
+    for k in range(9):
+        out[k // 3, k % 3] = sums[k, i]
+    if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
+        return np.inf
+    quadratic = _quadratic(sums, i, half, h, False) if second_order else 0.0
+    return (np.sqrt(longest) + quadratic + sums[28, i] + _slack(sums, i, h, m, blur)) * (1.0 + rounding_share(m))
+
+
 class BoxSums(NamedTuple):
     """A kernel's compiled enclosures over boxes."""
 
@@ -219,36 +243,17 @@ def box_sums(terms: Any, *, isochoric: bool, second_order: bool) -> BoxSums:
             h = _half_diagonals(half_widths, balls, start, stop, blur)
             sums = sum_block(scale, extent, table, reach, sources, weights, sizes, linear, _block(boxes, start), h)
             for i in range(stop - start):
-                half = half_widths[start + i]
-                longest = 0.0  # Frobenius norm of the linear part, convex in the corner: largest at one of them
-                for corner in range(4):
-                    sy, sz = half[1] * (1 - 2 * (corner & 1)), half[2] * (1 - (corner & 2))
-                    square = 0.0
-                    for k in range(3):
-                        r = 9 + 6 * k
-                        ux = half[0] * sums[r, i] + sy * sums[r + 1, i] + sz * sums[r + 2, i]
-                        uy = half[0] * sums[r + 1, i] + sy * sums[r + 3, i] + sz * sums[r + 4, i]
-                        uz = half[0] * sums[r + 2, i] + sy * sums[r + 4, i] + sz * sums[r + 5, i]
-                        square += ux * ux + uy * uy + uz * uz
-                    longest = max(longest, square)
-                if balls[start + i] < np.inf:
-                    longest = min(longest, balls[start + i] ** 2 * _derivative_square(sums, i))
-                for k in range(9):
-                    gradients[start + i, k // 3, k % 3] = sums[k, i]
-                slack = _slack(sums, i, h[i], m, blur)
-                quadratic = _quadratic(sums, i, half, h[i], False) if second_order else 0.0
-                radii[start + i] = (np.sqrt(longest) + quadratic + sums[28, i] + slack) * (1.0 + rounding_share(m))
-                if not np.isfinite(_total(sums, i)):  # an overflow proves nothing
-                    radii[start + i] = np.inf
+                half, ball = half_widths[start + i], balls[start + i]
+                radii[start + i] = _gradient(sums, i, half, ball, h[i], m, blur, second_order, gradients[start + i])
 
     @threaded(over="boxes", each=LANES, error_model="numpy")
     def strain_boxes(
         begin,
         end,
         scale, extent, table, reach, sources, weights, sizes, linear, boxes, half_widths, balls, blur,
-        planar, enough, bounds, middles,
+        planar, enough, gradients, radii, bounds, middles,
     ):  # fmt: skip
-        """Bound the eigenvalues of the strain over boxes: ``bounds`` and ``middles`` (B, 2) are written.
+        """As ``gradient_boxes``, and bound the strain's eigenvalues: ``bounds`` and ``middles`` (B, 2) are written.
 
         Every eigenvalue anywhere in box b is within ``bounds[b]``. ``middles[b]`` is about the range at its centre, NaN
         where sources are too near for the box to tell. ``enough`` (2,): bounds at least that good need no tightening.
@@ -262,12 +267,13 @@ def box_sums(terms: Any, *, isochoric: bool, second_order: bool) -> BoxSums:
             for i in range(stop - start):
                 for row in range(4):
                     _strain(sums, i, row, planar, parts[row])
-                half = half_widths[start + i]
+                half, ball = half_widths[start + i], balls[start + i]
+                radii[start + i] = _gradient(sums, i, half, ball, h[i], m, blur, second_order, gradients[start + i])
                 quadratic = _quadratic(sums, i, half, h[i], True) if second_order else 0.0
                 loss = (quadratic + sums[27, i] + _slack(sums, i, h[i], m, blur)) * (1.0 + rounding_share(m))
                 for side in range(2):  # one call, so that it is compiled into this once
                     sign = 1.0 - 2.0 * side
-                    middle, low = _corner_floor(parts, half, balls[start + i], sign, sign * enough[side] + loss)
+                    middle, low = _corner_floor(parts, half, ball, sign, sign * enough[side] + loss)
                     bounds[start + i, side], middles[start + i, side] = sign * (low - loss), sign * middle
                 if sums[32, i] > UNRESOLVED:
                     middles[start + i, 0], middles[start + i, 1] = np.nan, np.nan

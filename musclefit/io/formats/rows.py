@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,6 +89,10 @@ class Rows:
         """(rows, columns) finite float64; LandmarkError names line and column of the first value that is none."""
         self.require(*headings)
         columns = [self.headings.index(heading) for heading in headings]
+        with suppress(ValueError):  # all at once where every value is right
+            values = np.array([[float(cells[k]) for k in columns] for _, cells in self.rows]).reshape(-1, len(columns))
+            if np.isfinite(values).all():
+                return values
         values = np.empty((len(self.rows), len(columns)))
         for i, (line, cells) in enumerate(self.rows):
             for k, column in enumerate(columns):

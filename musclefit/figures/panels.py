@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 import pyvista as pv
+from PIL import Image
 
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError
@@ -132,6 +133,19 @@ def screenshot(plotter: Any) -> bytes:
     finally:
         plotter.close()
     return picture.getvalue()
+
+
+def screenshots_beside(plotters: Iterable[Any]) -> bytes:
+    """PNG of unshown plotters of one height beside each other; each is closed before the next is asked for."""
+    pictures = []
+    for plotter in plotters:
+        try:
+            pictures.append(plotter.screenshot(return_img=True))
+        finally:
+            plotter.close()
+    joined = BytesIO()
+    Image.fromarray(np.hstack(pictures)).save(joined, format="PNG")
+    return joined.getvalue()
 
 
 def surface(mesh: TriMesh) -> Any:

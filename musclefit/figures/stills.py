@@ -13,9 +13,9 @@ import pyvista as pv
 
 from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import InputError
-from musclefit.figures.camera import principal_views
+from musclefit.figures.camera import View, principal_views
 from musclefit.figures.colours import tissue_colours
-from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshot, tissue_panels
+from musclefit.figures.panels import Marks, Panel, determinant_panels, screenshots_beside, tissue_panels
 from musclefit.figures.rendering import rendering_problem
 
 PANELS_AT_FULL_HEIGHT = 3
@@ -72,10 +72,16 @@ def stills(
         return Stills(problem=problem)
     drawings = _drawings(tuple(panels), height_px)
     with pv.vtk_verbosity("off"):
-        return Stills({caption: screenshot(draw()) for caption, draw in drawings.items()})
+        return Stills(
+            {caption: screenshots_beside(draw(panel) for panel in of) for caption, (of, draw) in drawings.items()}
+        )
 
 
-def _drawings(panels: tuple[Panel, ...], height_px: int) -> dict[str, Callable[[], Any]]:
+_Drawing = tuple[tuple[Panel, ...], Callable[[Panel], Any]]
+"""Panels that stand beside each other, and what makes the plotter of one: each is drawn alone, in less memory."""
+
+
+def _drawings(panels: tuple[Panel, ...], height_px: int) -> dict[str, _Drawing]:
     """What to draw, by caption."""
     front, side = principal_views(_seen(panels))
     colours = tissue_colours(panels[0].anatomy)
@@ -86,22 +92,22 @@ def _drawings(panels: tuple[Panel, ...], height_px: int) -> dict[str, Callable[[
     ]
     tail = f" ({'; '.join(notes)})" if notes else ""
     height = round(height_px * min(1.0, math.sqrt(PANELS_AT_FULL_HEIGHT / len(panels))))
-    drawings: dict[str, Callable[[], Any]] = {
-        f"All tissues, from the broad side: {who}{tail}": lambda: tissue_panels(
-            panels, front, colours=colours, height_px=height
-        ),
-        f"All tissues, a quarter turn on: {who}{tail}": lambda: tissue_panels(
-            panels, side, colours=colours, height_px=height
-        ),
+
+    def tissues(view: View) -> Callable[[Panel], Any]:
+        return lambda panel: tissue_panels((panel,), view, colours=colours, height_px=height)
+
+    drawings: dict[str, _Drawing] = {
+        f"All tissues, from the broad side: {who}{tail}": (panels, tissues(front)),
+        f"All tissues, a quarter turn on: {who}{tail}": (panels, tissues(side)),
     }
     bones = tuple(_only(panel, TissueKind.BONE) for panel in panels if panel.anatomy.of_kind(TissueKind.BONE))
     if len(bones) == len(panels) and len(bones[0].anatomy) < len(panels[0].anatomy):
-        drawings[f"Bones alone: {who}"] = lambda: tissue_panels(bones, front, colours=colours, height_px=height)
+        drawings[f"Bones alone: {who}"] = (bones, tissues(front))
     measured = tuple(panel for panel in panels if panel.marks.determinants)
     if measured:
         names = ", ".join(panel.title.lower() for panel in measured)
         caption = f"Local volume ratio det J: {names} (white 1, brown 2 or more, violet towards 0, folded in magenta)"
-        drawings[caption] = lambda: determinant_panels(measured, front, height_px=height_px)
+        drawings[caption] = (measured, lambda panel: determinant_panels((panel,), front, height_px=height_px))
     return drawings
 
 

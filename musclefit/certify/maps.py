@@ -57,9 +57,9 @@ from musclefit.certify.folds import Search, find_fold, find_second_midpoint
 from musclefit.certify.model import Fold, MapCertificate, Place, StepCertificate
 from musclefit.certify.pairs import PairProof, prove_one_to_one
 from musclefit.certify.regions import CELLS, Region
-from musclefit.certify.strain import Condition, prepared
+from musclefit.certify.strain import Condition
 from musclefit.errors import InputError
-from musclefit.fields.protocol import Field
+from musclefit.fields.protocol import Field, prepared
 from musclefit.geometry.arrays import Bool, Points
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.winding import exact_winding_numbers, winding_numbers

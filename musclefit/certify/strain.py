@@ -37,20 +37,6 @@ class BallBounded(Protocol):
         ...
 
 
-@runtime_checkable
-class Preparing(Protocol):
-    """A field that looks at itself once before it bounds anything, so that its bounds are tighter or cheaper."""
-
-    def prepared(self) -> Field:
-        """The same field; what it knows of itself is found anew, whatever it was given."""
-        ...
-
-
-def prepared(field: Field) -> Field:
-    """The field, ready to be bounded over many boxes."""
-    return field.prepared() if isinstance(field, Preparing) else field
-
-
 @dataclass(frozen=True, slots=True)
 class Condition:
     """Every eigenvalue of the strain lies above ``-low`` and below ``high``: what makes a step one-to-one.

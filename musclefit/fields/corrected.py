@@ -62,6 +62,10 @@ class CorrectedField:
         """The field ``factor`` times as strong."""
         return type(self)(self.radial.scaled(factor), self.local.scaled(factor))
 
+    def prepared(self) -> Self:
+        """The same field, of which nothing is known yet: see `SolenoidalField.prepared`."""
+        return type(self)(self.radial, self.local.prepared())
+
     def gradient_bounds(self, centres: Points, half_widths: Float) -> tuple[Gradients, Float]:
         """Rigorous enclosure of the gradient over boxes: see `protocol.Field`."""
         return self._with_local(*self.radial.gradient_bounds(centres, half_widths), centres, half_widths)

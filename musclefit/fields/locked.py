@@ -22,7 +22,7 @@ from musclefit.errors import FieldError
 from musclefit.fields.enclosures import radial as enclosures
 from musclefit.fields.enclosures.jets import Jets
 from musclefit.fields.evaluation import bricks
-from musclefit.fields.protocol import Field
+from musclefit.fields.protocol import Field, prepared
 from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points, frozen
 
 ROUNDING = 1e-13
@@ -289,6 +289,10 @@ class LockedField:
     def scaled(self, factor: float) -> Self:
         """The field ``factor`` times as strong."""
         return replace(self, base=self.base.scaled(factor), locks=tuple(lock.scaled(factor) for lock in self.locks))
+
+    def prepared(self) -> Self:
+        """The same field, whose base is prepared where it can be."""
+        return replace(self, base=prepared(self.base))
 
     def locked(self, points: Points) -> Bool:
         """(N,) whether the field is exactly the displacement of one bone there."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 from musclefit.geometry.arrays import Float, Gradients, Points
 
@@ -41,6 +41,20 @@ class Field(Protocol):
     def scaled(self, factor: float) -> Self:
         """The field ``factor`` times as strong."""
         ...
+
+
+@runtime_checkable
+class Preparing(Protocol):
+    """A field that looks at itself once before it bounds anything, so that its bounds are tighter or cheaper."""
+
+    def prepared(self) -> Field:
+        """The same field; what it knows of itself is found anew, whatever it was given."""
+        ...
+
+
+def prepared(field: Field) -> Field:
+    """The field, ready to be bounded over many boxes."""
+    return field.prepared() if isinstance(field, Preparing) else field
 
 
 class Backend(Protocol):

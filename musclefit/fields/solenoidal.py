@@ -121,6 +121,10 @@ class SolenoidalField:
         levels = tuple(replace(level, coefficients=factor * level.coefficients) for level in self.levels)
         return replace(self, levels=levels)
 
+    def prepared(self) -> Self:
+        """The same field without the ceilings that it found so far: what a proof finds goes with the proof."""
+        return replace(self)
+
     def plus(self, other: Self) -> Self:
         """The sum of two fields on the same lattices.
 

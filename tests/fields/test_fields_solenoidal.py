@@ -248,3 +248,15 @@ def test_a_fit_ends_where_iterations_gain_no_more() -> None:
     assert missed[0.04, 40] == missed[0.04, 400]
     assert missed[0.0, 400] < missed[0.0, 40]
     assert missed[0.0, 40] <= missed[0.04, 40] < 1.3 * missed[0.0, 40]
+
+
+def test_what_a_proof_finds_goes_with_the_proof():
+    """A prepared field is the same, and bounds itself anew: a field that is kept does not keep its ceilings."""
+    field = some_field()
+    centres, halves = np.zeros((1, 3)), np.ones((1, 3))
+    proved = field.prepared()
+    np.testing.assert_array_equal(proved.displacement(centres), field.displacement(centres))
+    proved.ceilings(centres, halves)
+    assert "_ceilings" in vars(proved)
+    assert "_ceilings" not in vars(field)
+    assert "_ceilings" not in vars(proved.prepared())

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from musclefit.certify.maps import certify_map
-from musclefit.certify.strain import Condition, prepared, strain_ranges
+from musclefit.certify.strain import Condition, strain_ranges
 from musclefit.errors import FieldError
 from musclefit.fields.enclosures.cell_slopes import CellSlopes
 from musclefit.fields.evaluation.neighbours import Cells
 from musclefit.fields.fitting import multilevel
 from musclefit.fields.fitting.multilevel import MultilevelBackend
+from musclefit.fields.protocol import prepared
 from musclefit.fields.radial import RadialBackend
 from musclefit.vocabulary import Claim, StepKind
 

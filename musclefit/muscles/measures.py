@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from musclefit.geometry.arrays import Bool, Float, Gradients, Int, Points
+from musclefit.geometry.arrays import Float, Gradients, Int, Points
 from musclefit.geometry.measures import area_vectors, enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.quantiles import weighted_quantile
@@ -26,6 +26,12 @@ from musclefit.muscles.streamlines import Streamlines
 
 BELLY_SHARE = 0.25
 """Where the cross-section is below this share of its largest, a muscle is taken for tendon."""
+
+CARRIED_EVERY = 3
+"""A map is asked where it takes every third point of a line, and all between where it is bent there."""
+
+MOST_BENT = 1.05
+"""A line's piece of so many segments is bent if it is longer than this times the distance of its ends."""
 
 DOUBLED = 2.0
 """A fibre that is so many times as long as at rest, or shorter by as much, is no fibre of a muscle at work."""
@@ -197,13 +203,18 @@ def belly_of(surface: TriMesh, lengthwise: Lengthwise) -> Belly:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Lines:
-    """Streamlines as one array of segments, each with its line and its position along the muscle at rest."""
+    """Streamlines as one array of pieces, each with its line and its position along the muscle at rest.
+
+    ``inside`` is the share of a piece's length that is in the belly, ``bend`` its length at rest over its chord's:
+    where its ends are taken by a map, its length is their distance times that.
+    """
 
     points: Points
     starts: Int
     line: Int
     position: Float
-    inside: Bool
+    inside: Float
+    bend: Float
 
     @classmethod
     def of(cls, lines: Streamlines, belly: Belly) -> Lines:
@@ -215,15 +226,51 @@ class Lines:
         line = np.repeat(np.arange(len(counts)), counts - 1)
         position = belly.position(0.5 * (points[starts] + points[starts + 1]))
         inside = (position >= belly.low) & (position <= belly.high) | lines.are_fibres
-        return cls(points, starts, line, position, inside)
+        return cls(points, starts, line, position, inside.astype(np.float64), np.ones(len(starts)))
+
+    @classmethod
+    def carried(cls, lines: Streamlines, belly: Belly) -> Lines:
+        """Pieces of ``CARRIED_EVERY`` segments, or of one where those are bent, so that a map is asked less often."""
+        fine = cls.of(lines, belly)
+        last = np.cumsum([len(line) for line in lines.points]) - 1
+        first = np.concatenate([[0], last[:-1] + 1])
+        of_line = np.repeat(np.arange(len(last)), last - first + 1)
+        lengths = np.linalg.norm(np.diff(fine.points, axis=0), axis=1)
+        inside = np.zeros(len(lengths))
+        inside[fine.starts] = fine.inside
+        along, within = (np.concatenate([[0.0], np.cumsum(part)]) for part in (lengths, lengths * inside))
+        kept = (np.arange(len(of_line)) - first[of_line]) % CARRIED_EVERY == 0
+        kept[last] = True
+        at = np.flatnonzero(kept)
+        chords = np.linalg.norm(np.diff(fine.points[at], axis=0), axis=1)
+        bent = np.append(np.diff(along[at]) > MOST_BENT * chords, False)
+        kept |= bent[np.cumsum(kept) - 1]
+        at = np.flatnonzero(kept)
+        starts = np.flatnonzero(of_line[at[1:]] == of_line[at[:-1]])
+        low, high = at[starts], at[starts + 1]
+        chords, arcs = np.linalg.norm(fine.points[high] - fine.points[low], axis=1), along[high] - along[low]
+        return cls(
+            points=fine.points[at],
+            starts=starts,
+            line=of_line[low],
+            position=belly.position(0.5 * (fine.points[low] + fine.points[high])),
+            inside=(within[high] - within[low]) / np.where(arcs > 0.0, arcs, 1.0),
+            bend=arcs / np.where(chords > 0.0, chords, 1.0),
+        )
+
+    def split(self, points: Points) -> list[Points]:
+        """Where the lines' points went, line by line."""
+        ends = np.setdiff1d(np.arange(len(self.points)), self.starts)
+        return np.split(points, ends[:-1] + 1)
 
     def measure(self, points: Points, tangents: Points, *, count: int) -> tuple[Float, Float, Float]:
         """(count,) lengths of paths and of fibres, mm, and the fibres' mean angle with the centreline, degrees."""
         way = points[self.starts + 1] - points[self.starts]
-        lengths = np.linalg.norm(way, axis=1)
+        chords = np.linalg.norm(way, axis=1)
+        lengths = chords * self.bend
         paths: Float = np.bincount(self.line, lengths, minlength=count).astype(np.float64)
         fibres: Float = np.bincount(self.line, lengths * self.inside, minlength=count).astype(np.float64)
-        cosines = np.abs(np.einsum("si,si->s", way, tangents)) / np.where(lengths > 0.0, lengths, 1.0)
+        cosines = np.abs(np.einsum("si,si->s", way, tangents)) / np.where(chords > 0.0, chords, 1.0)
         angles = np.degrees(np.arccos(np.clip(cosines, 0.0, 1.0))) * lengths * self.inside
         turned = np.bincount(self.line, angles, minlength=count) / np.where(fibres > 0.0, fibres, 1.0)
         return paths, fibres, turned
@@ -308,8 +355,8 @@ def measure_carried(
     mapped: Mapped,
     placed: Callable[[Points], Points],
     motions: Mapping[str, RigidMotion],
-) -> tuple[CarriedMuscle, CarriedDirections, Points]:
-    """The numbers of one muscle after a map, its fibres there, and where it takes the points of its streamlines, mm.
+) -> tuple[CarriedMuscle, CarriedDirections, list[Points]]:
+    """The numbers of one muscle after a map, its fibres there, and where it takes its streamlines, mm.
 
     Parameters
     ----------
@@ -318,7 +365,7 @@ def measure_carried(
     motions : mapping of bone to RigidMotion
         Of bones that move rigidly.
     """
-    lines = Lines.of(found, belly)
+    lines = Lines.carried(found, belly)
     volumes = signed_volumes(field.mesh.vertices, field.mesh.tets)
     used = field.used
     fibres = carried_directions(mapped, *field.placed_directions())
@@ -353,7 +400,7 @@ def measure_carried(
             centroid_line_rest_mm=float(np.linalg.norm(ends.insertion.centroid_mm - ends.origin.centroid_mm)),
         ),
         fibres,
-        points,
+        lines.split(points),
     )
 
 

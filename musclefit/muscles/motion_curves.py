@@ -66,14 +66,18 @@ def motion_curves(
         At 0 and at every stretch's end; empty where no joint drives.
     """
     cuts = [m.surface.vertices[m.belly.sections.vertices] for m in muscles]
-    parts = [np.concatenate([*m.lines.points, cut, _middles(m.ends)]) for m, cut in zip(muscles, cuts, strict=True)]
+    lines = [Lines.carried(muscle.lines, muscle.belly) for muscle in muscles]
+    parts = [
+        np.concatenate([own.points, cut, _middles(muscle.ends)])
+        for muscle, own, cut in zip(muscles, lines, cuts, strict=True)
+    ]
     bounds = np.cumsum([len(part) for part in parts])[:-1]
     places = np.concatenate(parts)
     states: list[list[MotionState]] = [[] for _ in muscles]
     for at, part in ((0.0, None), *((end, stretch) for _, end, stretch in stretches)):
         places = places if part is None else part(places)
-        for muscle, own, found in zip(muscles, np.split(places, bounds), states, strict=True):
-            found.append(_state(muscle, own, at=at, angles=angles_at.get(at, {}), before=found))
+        for muscle, of, own, found in zip(muscles, lines, np.split(places, bounds), states, strict=True):
+            found.append(_state(muscle, of, own, at=at, angles=angles_at.get(at, {}), before=found))
     return tuple(state for found in states for state in _with_arms(found))
 
 
@@ -82,12 +86,17 @@ def _middles(ends: MuscleEnds) -> Points:
 
 
 def _state(
-    muscle: MovingMuscle, own: Points, *, at: float, angles: Mapping[str, float], before: Sequence[MotionState]
+    muscle: MovingMuscle,
+    lines: Lines,
+    own: Points,
+    *,
+    at: float,
+    angles: Mapping[str, float],
+    before: Sequence[MotionState],
 ) -> MotionState:
-    count = sum(map(len, muscle.lines.points))
+    count = len(lines.points)
     points, middles, vertices = own[:count], own[-2:], muscle.surface.vertices.copy()
     vertices[muscle.belly.sections.vertices] = own[count:-2]
-    lines = Lines.of(muscle.lines, muscle.belly)
     tangents = muscle.belly.directions(vertices, lines.position)
     paths, fibres, turned = lines.measure(points, tangents, count=len(muscle.lines.points))
     whole = muscle.lines.complete & (fibres > 0.0)

@@ -93,8 +93,8 @@ class FibredMuscle:
     lines : Streamlines
         At rest.
     belly : Belly
-    carried_points : (p, 3) float64 or None
-        Where the map takes the points of all lines, mm; None where nothing was deformed.
+    carried_lines : tuple of (p, 3) float64
+        Where the map takes the lines, mm, each with every third of its points; empty where nothing was deformed.
     pieces : int
         Of the tetrahedra, joined by faces.
     loose_share : float
@@ -118,7 +118,7 @@ class FibredMuscle:
     missed_mm: float
     source: str = ""
     data_share: float | None = None
-    carried_points: Points | None = None
+    carried_lines: tuple[Points, ...] = ()
     carried: CarriedDirections | None = None
 
 
@@ -320,7 +320,7 @@ def _carry(
     carried = []
     with progress.stage("carry fibres") as tick:
         for done, (name, one) in enumerate(fibred.items(), start=1):
-            row, fibres, points = measure_carried(
+            row, fibres, lines = measure_carried(
                 job.anatomy[name].surface,
                 one.ends,
                 one.field,
@@ -331,7 +331,7 @@ def _carry(
                 motions=motions,
             )
             carried.append(row)
-            fibred[name] = replace(one, carried_points=points, carried=fibres)
+            fibred[name] = replace(one, carried_lines=tuple(lines), carried=fibres)
             tick(done / len(fibred))
     return tuple(carried)
 
@@ -580,11 +580,9 @@ def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:
     lines: list[Points] = []
     numbers: list[int] = []
     for number, one in enumerate(found.fibred.values()):
-        points = list(one.lines.points)
-        if carried and one.carried_points is not None:
-            points = np.split(one.carried_points, np.cumsum([len(line) for line in points])[:-1])
-        lines += points
-        numbers += [number] * len(points)
+        own = one.carried_lines if carried else one.lines.points
+        lines += own
+        numbers += [number] * len(own)
     names = ", ".join(f"{number} {name}" for number, name in enumerate(found.fibred))
     return vtk_lines(lines, title=f"fibres in mm; muscles: {names}", line_data={"muscle": np.array(numbers, float)})
 

@@ -12,9 +12,9 @@ from musclefit.geometry.surfaces.sections import Lengthwise
 from musclefit.geometry.tets.topology import tet_faces
 from musclefit.muscles.attachments import Attachment, MuscleEnds
 from musclefit.muscles.fibres import laplace_fibres
-from musclefit.muscles.measures import belly_of
+from musclefit.muscles.measures import Lines, belly_of
 from musclefit.muscles.motion_curves import MovingMuscle, motion_curves
-from musclefit.muscles.streamlines import streamlines
+from musclefit.muscles.streamlines import Streamlines, streamlines
 
 LENGTH, LOW, HIGH = 60.0, 5.0, 8.0
 """Along x, and the bar's distances from the line through the joint, mm."""
@@ -56,12 +56,16 @@ class Stage:
         return bent(self.seen[0], self.angle)
 
 
+def bar_surface(mesh: TetMesh) -> TriMesh:
+    corners, faces = np.unique(tet_faces(mesh.tets).boundary, return_inverse=True)
+    return TriMesh(mesh.vertices[corners], faces.reshape(-1, 3))
+
+
 def curves(angles_deg: list[float], *, other: list[float] | None = None):
     mesh = bar()
     ends = MuscleEnds("bar", end(mesh, 0.0, "one"), end(mesh, LENGTH, "two"))
     field = laplace_fibres(mesh, origin=ends.origin.surface, insertion=ends.insertion.surface, within_mm=1e-6)
-    corners, faces = np.unique(tet_faces(mesh.tets).boundary, return_inverse=True)
-    surface = TriMesh(mesh.vertices[corners], faces.reshape(-1, 3))
+    surface = bar_surface(mesh)
     muscle = MovingMuscle(ends, surface, streamlines(field, count=100), belly_of(surface, Lengthwise.of(surface)))
     seen: list[Points] = []
     shares = np.linspace(0.0, 1.0, len(angles_deg) + 1)
@@ -95,3 +99,27 @@ def test_there_is_no_moment_arm_where_two_joints_turn_or_one_turns_back() -> Non
     both = curves([10.0, 20.0, 30.0], other=[0.0, 5.0, 10.0, 15.0])
     back = curves([10.0, 20.0, 15.0])
     assert all(state.moment_arm_path_mm is None for state in (*both, *back))
+
+
+def test_lines_are_carried_by_a_third_of_their_points_and_keep_their_lengths() -> None:
+    """Wavy lines, of numbers of points that three does and does not divide, and one with a point twice."""
+    surface = bar_surface(bar())
+    belly = belly_of(surface, Lengthwise.of(surface))
+    at = [np.linspace(0.0, LENGTH, count) for count in (101, 100, 99, 2)]
+    wavy = [np.stack([x, 6.5 + 0.3 * np.sin(x / 4.0), 1.5 + 0.2 * np.cos(x / 3.0)], axis=1) for x in at]
+    wavy.append(np.repeat(wavy[1], 2, axis=0))
+    lines = Streamlines(tuple(wavy), np.ones(len(wavy), dtype=bool), np.zeros(len(wavy)))
+    fine, coarse = Lines.of(lines, belly), Lines.carried(lines, belly)
+    assert len(coarse.points) < 0.35 * len(fine.points)
+    for part, line in zip(coarse.split(coarse.points), lines.points, strict=True):
+        np.testing.assert_array_equal(part[[0, -1]], line[[0, -1]])
+    for angle, limit in ((0.0, 1e-12), (np.radians(60.0), 2e-3)):
+        paths, fibres = [], []
+        for of in (fine, coarse):
+            tangents = np.tile([1.0, 0.0, 0.0], (len(of.starts), 1))
+            path, fibre, _ = of.measure(bent(of.points, angle), tangents, count=len(wavy))
+            paths.append(path)
+            fibres.append(fibre)
+        np.testing.assert_allclose(paths[1], paths[0], rtol=limit, atol=0)
+        np.testing.assert_allclose(fibres[1], fibres[0], rtol=limit, atol=0)
+        assert (fibres[0] <= paths[0]).all()

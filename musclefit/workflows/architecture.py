@@ -47,6 +47,7 @@ from musclefit.muscles.measures import (
     Belly,
     CarriedDirections,
     CarriedMuscle,
+    Lines,
     MuscleArchitecture,
     belly_of,
     measure_at_rest,
@@ -94,7 +95,8 @@ class FibredMuscle:
         At rest.
     belly : Belly
     carried_lines : tuple of (p, 3) float64
-        Where the map takes the lines, mm, each with every third of its points; empty where nothing was deformed.
+        Where the map takes the lines, mm, by some of their points (`measures.Lines.carried`); empty where nothing was
+        deformed.
     pieces : int
         Of the tetrahedra, joined by faces.
     loose_share : float
@@ -580,11 +582,19 @@ def _fibres_vtk(found: Architecture, *, carried: bool) -> bytes:
     lines: list[Points] = []
     numbers: list[int] = []
     for number, one in enumerate(found.fibred.values()):
-        own = one.carried_lines if carried else one.lines.points
+        own = one.carried_lines if carried else _asked(one)
         lines += own
         numbers += [number] * len(own)
     names = ", ".join(f"{number} {name}" for number, name in enumerate(found.fibred))
     return vtk_lines(lines, title=f"fibres in mm; muscles: {names}", line_data={"muscle": np.array(numbers, float)})
+
+
+def _asked(one: FibredMuscle) -> Sequence[Points]:
+    """The lines at rest, with the same points as where they are carried, if they are."""
+    if not one.carried_lines:
+        return one.lines.points
+    at_rest = Lines.carried(one.lines, one.belly)
+    return at_rest.split(at_rest.points)
 
 
 def _row(record: Any) -> dict[str, Any]:

@@ -166,7 +166,7 @@ def test_no_point_of_a_ball_leaves_its_enclosure(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_gradient_and_strain_by_one_pass_are_those_of_two(name: str) -> None:
+def test_gradients_bounded_in_one_pass_with_the_strain_are_those_bounded_alone(name: str) -> None:
     rng = np.random.default_rng(8)
     field = random_field(name, rng)
     cases = [(boxes(field, rng, size)[0], size) for size in (0.01, 2.0, 15.0)]
@@ -174,8 +174,6 @@ def test_gradient_and_strain_by_one_pass_are_those_of_two(name: str) -> None:
         radii = rng.uniform(0.0, size, len(centres))
         found = field.ball_bounds(centres, radii)
         for one, other in zip(found[:2], field.gradient_ball_bounds(centres, radii), strict=True):
-            np.testing.assert_array_equal(one, other)
-        for one, other in zip(found[2:], field.strain_ball_bounds(centres, radii), strict=True):
             np.testing.assert_array_equal(one, other)
 
 

@@ -219,10 +219,14 @@ def multiply_rows(
 
 def _matrix(at: Points, support: float) -> sparse.csr_matrix:
     """Wendland's C2 function of the distances between centres, where they see each other."""
-    pairs = cKDTree(at).query_pairs(support, output_type="ndarray")
-    a, b, every = pairs[:, 0], pairs[:, 1], np.arange(len(at))
-    apart = at[a] - at[b]
-    q = np.sqrt(np.einsum("ij,ij->i", apart, apart)) / support
-    entries = (1.0 - q) ** 4 * (4.0 * q + 1.0)
+    a, b = cKDTree(at).query_pairs(support, output_type="ndarray").astype(np.int32).T
+    entries = _wendland_c2(at[a] - at[b], support)
+    every = np.arange(len(at), dtype=np.int32)
     rows, columns = np.concatenate([a, b, every]), np.concatenate([b, a, every])
     return sparse.csr_matrix((np.concatenate([entries, entries, np.ones(len(at))]), (rows, columns)))
+
+
+def _wendland_c2(apart: Points, support: float) -> Float:
+    q = np.sqrt(np.einsum("ij,ij->i", apart, apart)) / support
+    values: Float = (1.0 - q) ** 4 * (4.0 * q + 1.0)
+    return values

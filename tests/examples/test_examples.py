@@ -19,7 +19,7 @@ STARTED_ONLY = {
     "forearm_backends.py": "--no-certificate",
 }
 STARTED_ONLY |= {"regions.py": "--prepare-only", "fig8_forearm_motion.py": "--frames", "fig9_jump.py": "--workers"}
-STARTED_ONLY |= {"opensim_models.py": "--frames"}
+STARTED_ONLY |= {"opensim_models.py": "--frames", "brain_labels.py": "--surfaces"}
 STARTED_ONLY |= {"cost_model.py": "--write", "forearm_architecture.py": "--report", "measure.py": "take"}
 STARTED_ONLY |= {"forearm_moment_arms.py": "--plot", "control_points.py": "--count", "scan_fits.py": "--only"}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
@@ -94,6 +94,19 @@ def test_fig1_folds_in_one_shot_and_not_after_subdivision(tmp_path: Path) -> Non
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["fig1_subdivision.md", "fig1_subdivision.png"]
     written = (tmp_path / "out" / "fig1_subdivision.md").read_text(encoding="utf-8")
     assert table_rows(written) == table_rows(ended.stdout)
+
+
+@pytest.mark.slow
+def test_a_brain_is_the_same_in_five_forms(tmp_path: Path) -> None:
+    pytest.importorskip("nilearn", reason="nilearn is not installed (extra examples)")
+    ended = run("brain_labels.py", "--surfaces", "integers", "--tissues", "white_matter", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("white_matter 138,625;") == 5
+    assert ended.stdout.count("\n  0 voxels, and 0.0e+00 mm of their middle, off the first form") == 5
+    fit = re.search(r"white_matter: volume (\S+) %, vertices within (\S+) voxels", ended.stdout)
+    assert fit is not None
+    assert abs(float(fit[1])) < 1.0
+    assert float(fit[2]) <= 0.5
 
 
 @pytest.mark.slow

@@ -9,7 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from musclefit.anatomy.model import Anatomy
+from musclefit.anatomy.findings import Finding
+from musclefit.anatomy.model import Anatomy, TissueKind
 from musclefit.errors import NotConvergedError
 from musclefit.flow.bones import RigidGroup
 from musclefit.flow.deformation import Deformation, Status
@@ -18,10 +19,10 @@ from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.surface_refinement import Carried, CutAnatomy, carried_finely, cut_at_rest, finely_carried
 from musclefit.flow.tracked_points import MAX_RETURNS, Riders, riders_of
 from musclefit.geometry.arrays import Float, Gradients, Points
-from musclefit.geometry.measures import area_vectors
+from musclefit.geometry.measures import area_vectors, enclosed_volume
 from musclefit.geometry.surfaces.edge_lengths import EdgeLengths
 from musclefit.geometry.surfaces.samples import EDGES_PER_SPACING, surface_samples
-from musclefit.pipeline.chosen_settings import surface_choices
+from musclefit.pipeline.chosen_settings import bone_choices, surface_choices
 from musclefit.pipeline.deformers import Deformed, keep_bones, locked_march_of, locks_kept, march_of
 from musclefit.pipeline.kept_bones import bone_limits
 from musclefit.progress import Progress
@@ -31,6 +32,9 @@ from musclefit.vocabulary import StepKind, TestedAt
 FEWEST_SAMPLES = 50_000
 """Surfaces are sampled as closely as the rig's longest edge says, but with no more samples than about this many, or
 than the anatomy has vertices."""
+
+CLOSER_MARCHES = 2
+"""Times that a march is made anew for the volume of muscles."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,6 +70,8 @@ class Made:
     tested_too : callable
         Takes (k, 3) places at rest, mm, that the map must be tested at as well; gives what is made of it then, or None
         where the map stays as it is.
+    findings : tuple of Finding
+        Why the march was made anew.
     """
 
     deformed: Deformed
@@ -73,9 +79,64 @@ class Made:
     sampled: Sampled
     returns: int
     tested_too: Callable[[Points], Made | None]
+    findings: tuple[Finding, ...] = ()
+
+    def after(self, returns: int, findings: tuple[Finding, ...]) -> Made:
+        """What is made after an earlier march was given up: its returns are counted, and why it was stays said."""
+
+        def tested_too(places: Points) -> Made | None:
+            again = self.tested_too(places)
+            return None if again is None else again.after(returns, findings)
+
+        return replace(self, returns=self.returns + returns, tested_too=tested_too, findings=findings)
 
 
 def deform_finely(job: Job, *, progress: Progress) -> Made:
+    """March the job's handles and move the tissues, held closer to bones where muscles would change more than they may.
+
+    Where locks fade, the field changes volumes by as much as it misses the bones' own motion there, which falls with
+    the iterations of its fit. Where bones are rigid, the rig leaves their number open and a muscle is beyond its limit,
+    the path is marched anew with twice as many, at most ``CLOSER_MARCHES`` times.
+
+    Parameters
+    ----------
+    job : Job
+    """
+    made = _deform_once(job, progress=progress)
+    limit, bones = job.rig.limits.muscle_volume_percent, job.rig.bones
+    if limit is None or not bones.rigid or bones.iterations is not None:
+        return made
+    iterations = bone_choices(job).iterations
+    for _ in range(CLOSER_MARCHES):
+        change, muscle = _worst_volume_change(made.carried)
+        if not change > limit or made.deformed.deformation.status is not Status.CONVERGED:
+            break
+        iterations *= 2
+        closer = replace(job, rig=replace(job.rig, bones=replace(bones, iterations=iterations)))
+        again = _deform_once(closer, progress=progress)
+        if again.deformed.deformation.status is not Status.CONVERGED or _worst_volume_change(again.carried)[0] > change:
+            break
+        why = Finding(
+            muscle,
+            "more-iterations",
+            f"{muscle}: its volume changed by {change:.3g} %, more than {limit:g} %; the path was marched anew with "
+            f"{iterations} iterations for the field beside the bones",
+        )
+        made = again.after(made.returns + 1, (*made.findings, why))
+    return made
+
+
+def _worst_volume_change(carried: Carried) -> tuple[float, str]:
+    """The largest relative change of a muscle's volume, percent, and whose it is."""
+    changes = [
+        (abs(enclosed_volume(carried.deformed[t.name].surface) / enclosed_volume(t.surface) - 1.0) * 100.0, t.name)
+        for t in carried.rest.of_kind(TissueKind.MUSCLE)
+        if enclosed_volume(t.surface) > 0.0
+    ]
+    return max(changes, default=(0.0, ""))
+
+
+def _deform_once(job: Job, *, progress: Progress) -> Made:
     """March the job's handles, tested on the surfaces, and move the tissues, finely where the rig says so.
 
     Surfaces that are to be refined are cut to the rig's longest edge before the march. An implicit march is also tested

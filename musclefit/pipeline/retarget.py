@@ -194,7 +194,7 @@ def retarget(job: Job, *, tets: TetAnatomy | TetsLater | None, progress: Progres
     made = deform_finely(job, progress=progress)
     later = cache(tets if callable(tets) else partial(_given, tets))
     finish = _Finisher(job, solids, later, job.rig.mesh, progress, progress, shared)
-    kept = _kept_findings(made.deformed)
+    kept = (*made.findings, *_kept_findings(made.deformed))
     result = finish(made, method=method_in_words(job), stage="check result").with_overlapping_solids()
     del made  # what was tested at every step is needed no more, and takes as much memory as the anatomy
     filled = later()

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache, wraps
 from hashlib import sha256
 from inspect import getfile, signature
@@ -110,8 +110,22 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.clear)  # threads are not copied
 
 
+_alone: list[None] = []
+"""One entry for each `one_thread` that lasts."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """While it lasts, the loops of this process run in the thread that calls them alone."""
+    _alone.append(None)
+    try:
+        yield
+    finally:
+        _alone.pop()
+
+
 def _run(loop: Callable[..., None], count: int, least: int, arguments: tuple[Any, ...]) -> None:
-    threads = min(config.NUMBA_NUM_THREADS, count // least)
+    threads = 1 if _alone else min(config.NUMBA_NUM_THREADS, count // least)
     if threads < 2:
         loop(0, count, *arguments)
         return

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 
+from musclefit.compiling import one_thread
 from musclefit.errors import InputError
 from musclefit.io.case_folders import CaseOutcome
 from musclefit.io.studies import FileHashes, Study
@@ -60,8 +61,5 @@ def _alone(study: Study, number: int) -> Study:
 
 def make_on_worker(study: Study, out: str) -> CaseOutcome:
     """Make the one case of a study in a worker of a cluster, with one thread."""
-    import numba
-
-    with _one_at_a_time:
-        numba.set_num_threads(1)
+    with _one_at_a_time, one_thread():
         return make_case(study, study.cases[0], Path(out), hashes=FileHashes())

@@ -16,7 +16,7 @@ import pytest
 from numba import config
 
 from musclefit import compiling
-from musclefit.compiling import source_stamp, sources_of, threaded
+from musclefit.compiling import one_thread, source_stamp, sources_of, threaded
 
 LOOP = """
 from musclefit.fields.enclosures.source_terms import rounding_share
@@ -194,3 +194,18 @@ def test_what_a_task_raises_reaches_the_caller(monkeypatch, threads):
     points[700] = -1.0
     with pytest.raises(ValueError):  # noqa: PT011 (compiled code)
         _mark(points, np.zeros(1001))
+
+
+def test_loops_stay_in_the_thread_that_calls_them_where_that_is_asked_for(monkeypatch):
+    """As a worker of a cluster does, which has other work for the other processors."""
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 3)
+    pools: list[compiling.ThreadPoolExecutor] = []
+    monkeypatch.setattr(compiling, "_pool", pools)
+    parts: list[tuple[int, int]] = []
+    with one_thread():
+        compiling._run(lambda begin, end: parts.append((begin, end)), 1000, 1, ())
+    assert (parts, pools) == ([(0, 1000)], [])
+    compiling._run(lambda begin, end: parts.append((begin, end)), 1000, 1, ())
+    assert len(parts) > 3
+    assert len(pools) == 1
+    pools[0].shutdown()

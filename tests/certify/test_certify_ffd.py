@@ -112,7 +112,7 @@ def test_certificates_of_isochoric_free_form_deformations_withstand_attack():
 
 @pytest.mark.slow
 def test_certificates_of_isochoric_free_form_deformations_withstand_a_long_attack(capsys):
-    tally = campaign(map(isochoric_configuration, range(1000, 1000 + FULL_CAMPAIGN)), max_boxes=60_000, optimise=True)
+    tally = campaign(map(isochoric_configuration, range(1000, 1000 + FULL_CAMPAIGN)), max_boxes=20_000, optimise=True)
     with capsys.disabled():
         print(f"\nisochoric free-form deformations, {tally}")
     tally.require_a_sound_mixture(FULL_CAMPAIGN)

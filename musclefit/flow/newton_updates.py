@@ -61,7 +61,8 @@ def advance(
                     update[p, k] = 0.0
                     for i in range(n):
                         update[p, k] += inverse[k, i] * residual[i]
-            if regular and size <= trusted_mm and size * size * size <= share * tolerance * before * before:
+            sure = before < np.inf and size * size * size <= share * tolerance * before * before
+            if regular and size <= trusted_mm and sure:
                 last[p], done[q] = tolerance, True
                 for k in range(n):
                     kept[p, k] -= update[p, k]

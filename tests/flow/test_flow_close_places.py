@@ -87,6 +87,17 @@ def test_a_third_of_the_evaluations_is_saved():
     assert asked[1] < 2 / 3 * asked[0]
 
 
+def test_an_update_from_a_guess_is_checked_before_any_is_trusted():
+    """How fast residuals fall is known from an update before: a first one, however close the guess, is not sure."""
+    counted = Counted(field("isochoric-r3", 3, 0.8))
+    step, points = CayleyStep(counted), lines(3)
+    middles = 0.5 * (points + step(points))
+    before = counted.asked
+    moved = step.moved_from(points, middles + 1e-6)
+    assert counted.asked - before >= 2 * len(points)
+    np.testing.assert_allclose(moved, step(points), rtol=0, atol=1e-10)
+
+
 def test_places_that_fall_together_and_single_ones_are_taken_too():
     deformation = a_map(CayleyStep(field("isochoric-r3", 3, 0.8)))
     same = np.tile([1.0, 2.0, 3.0], (FEW + 1, 1))

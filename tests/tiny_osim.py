@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -163,8 +164,8 @@ def write_tiny_osim(folder: Path) -> Path:
     return path
 
 
-def opensim_places(path: Path, values: dict[str, float]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Rotation and translation (mm) of each body in the ground by OpenSim's own library."""
+def posed_in_opensim(path: Path, values: dict[str, float]) -> tuple[Any, Any]:
+    """The model and its state at coordinates' values by OpenSim's own library, locked ones set free."""
     import warnings
 
     with warnings.catch_warnings():
@@ -179,6 +180,12 @@ def opensim_places(path: Path, values: dict[str, float]) -> dict[str, tuple[np.n
         one.setLocked(state, False)
         one.setValue(state, values[one.getName()], False)
     model.realizePosition(state)
+    return model, state
+
+
+def opensim_places(path: Path, values: dict[str, float]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Rotation and translation (mm) of each body in the ground by OpenSim's own library."""
+    model, state = posed_in_opensim(path, values)
     places = {}
     bodies = model.getBodySet()
     for k in range(bodies.getSize()):
@@ -240,18 +247,6 @@ def with_offset_frames() -> str:
 
 def opensim_markers(path: Path, values: dict[str, float]) -> dict[str, np.ndarray]:
     """Where OpenSim's own library has the markers, mm."""
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import opensim
-    opensim.Logger.setLevelString("Off")
-    model = opensim.Model(str(path))
-    state = model.initSystem()
-    coordinates = model.getCoordinateSet()
-    for k in range(coordinates.getSize()):
-        coordinates.get(k).setLocked(state, False)
-        coordinates.get(k).setValue(state, values[coordinates.get(k).getName()], False)
-    model.realizePosition(state)
+    model, state = posed_in_opensim(path, values)
     found = [model.getMarkerSet().get(k) for k in range(model.getMarkerSet().getSize())]
     return {m.getName(): 1000.0 * np.array([m.getLocationInGround(state).get(i) for i in range(3)]) for m in found}

@@ -167,11 +167,10 @@ class CayleyStep:
         NotConvergedError
             No midpoint is found.
         """
-        middle, gradients = _newton(self.field, points, factor=-0.5)
-        return Trial(2.0 * middle - points, gradients)
+        return self.trial_from(points, None)
 
-    def trial_from(self, points: Points, middles: Points) -> Trial:
-        """As ``trial``, from guessed (N, n) midpoints, mm.
+    def trial_from(self, points: Points, middles: Points | None) -> Trial:
+        """As ``trial``, from guessed (N, n) midpoints, mm, if there are any.
 
         Raises
         ------

@@ -19,6 +19,12 @@ def enclosed_volume(mesh: TriMesh) -> float:
     return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
 
 
+def volume_change_percent(before: TriMesh, after: TriMesh) -> float:
+    """By how much of the volume at first another one differs, percent; the first encloses a volume."""
+    volume = enclosed_volume(before)
+    return 100.0 * (enclosed_volume(after) - volume) / volume
+
+
 def area_vectors(mesh: TriMesh) -> Float:
     """(f, 3) outward normals whose lengths are the triangles' areas, mm²."""
     corners = mesh.corners()

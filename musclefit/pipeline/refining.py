@@ -19,7 +19,7 @@ from musclefit.flow.rules import cayley_fractions
 from musclefit.flow.surface_refinement import Carried, CutAnatomy, carried_finely, cut_at_rest, finely_carried
 from musclefit.flow.tracked_points import MAX_RETURNS, Riders, riders_of
 from musclefit.geometry.arrays import Float, Gradients, Points
-from musclefit.geometry.measures import area_vectors, enclosed_volume
+from musclefit.geometry.measures import area_vectors, enclosed_volume, volume_change_percent
 from musclefit.geometry.surfaces.edge_lengths import EdgeLengths
 from musclefit.geometry.surfaces.samples import EDGES_PER_SPACING, surface_samples
 from musclefit.pipeline.chosen_settings import bone_choices, surface_choices
@@ -107,14 +107,15 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
     if limit is None or not bones.rigid or bones.iterations is not None:
         return made
     iterations = bone_choices(job).iterations
+    change, muscle = _worst_volume_change(made.carried)
     for _ in range(CLOSER_MARCHES):
-        change, muscle = _worst_volume_change(made.carried)
         if not change > limit or made.deformed.deformation.status is not Status.CONVERGED:
             break
         iterations *= 2
         closer = replace(job, rig=replace(job.rig, bones=replace(bones, iterations=iterations)))
         again = _deform_once(closer, progress=progress)
-        if again.deformed.deformation.status is not Status.CONVERGED or _worst_volume_change(again.carried)[0] > change:
+        left, whose = _worst_volume_change(again.carried)
+        if again.deformed.deformation.status is not Status.CONVERGED or left > change:
             break
         why = Finding(
             muscle,
@@ -123,13 +124,14 @@ def deform_finely(job: Job, *, progress: Progress) -> Made:
             f"{iterations} iterations for the field beside the bones",
         )
         made = again.after(made.returns + 1, (*made.findings, why))
+        change, muscle = left, whose
     return made
 
 
 def _worst_volume_change(carried: Carried) -> tuple[float, str]:
     """The largest relative change of a muscle's volume, percent, and whose it is."""
     changes = [
-        (abs(enclosed_volume(carried.deformed[t.name].surface) / enclosed_volume(t.surface) - 1.0) * 100.0, t.name)
+        (abs(volume_change_percent(t.surface, carried.deformed[t.name].surface)), t.name)
         for t in carried.rest.of_kind(TissueKind.MUSCLE)
         if enclosed_volume(t.surface) > 0.0
     ]

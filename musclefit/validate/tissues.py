@@ -9,7 +9,7 @@ import numpy as np
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.arrays import Points
-from musclefit.geometry.measures import area_vectors, enclosed_volume
+from musclefit.geometry.measures import area_vectors, enclosed_volume, volume_change_percent
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.rigid import RigidMotion
 from musclefit.validate.model import OutsideCheck, TissueCheck
@@ -71,7 +71,7 @@ def check_tissues(
                 kind=str(before.kind),
                 rest_volume_mm3=volume_before,
                 volume_mm3=volume_after,
-                volume_change_percent=100.0 * (volume_after - volume_before) / volume_before,
+                volume_change_percent=volume_change_percent(before.surface, after.surface),
                 rigidity_mm=rigidity,
                 rigidity_reference=reference,
                 outside_skin_rest_mm3=None if out is None else out.rest_mm3,

@@ -30,10 +30,7 @@ BASES = {
 def test_public_functions_name_all_that_they_raise() -> None:
     """Commands are left out: their docstrings are help, and what they refuse ends with exit code 2."""
     unnamed, raising = {}, 0
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if path.parent == PACKAGE / "cli" or "raise " not in path.read_text(encoding="utf-8"):
-            continue
-        tree = parsed(path)
+    for path, tree in raising_modules():
         for function in public_functions(tree):
             raised = raised_by(function, tree)
             raising += bool(raised)
@@ -46,10 +43,7 @@ def test_public_functions_name_all_that_they_raise() -> None:
 def test_public_methods_name_all_that_they_raise() -> None:
     """What a class raises when it is made stands in its own docstring."""
     unnamed, raising = {}, 0
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if path.parent == PACKAGE / "cli" or "raise " not in path.read_text(encoding="utf-8"):
-            continue
-        tree = parsed(path)
+    for path, tree in raising_modules():
         for owner, method in public_methods(tree):
             raised = raised_by(method, tree) - {"AssertionError"}
             raising += bool(raised)
@@ -79,6 +73,13 @@ def test_what_is_exported_names_it_under_raises() -> None:
 @cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def raising_modules() -> Iterator[tuple[Path, ast.Module]]:
+    """The modules that raise something, commands left out."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.parent != PACKAGE / "cli" and "raise " in path.read_text(encoding="utf-8"):
+            yield path, parsed(path)
 
 
 def public_functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:

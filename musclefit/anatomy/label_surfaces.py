@@ -1,11 +1,4 @@
-r"""Label maps -> layered surfaces: one closed surface for each label, a hair apart from its neighbours'; opens no file.
-
-Each label's mask is smoothed by a Gaussian, G_l, and its surface is the level set of
-:math:`F_l = w_l G_l - \max_{k \ne l} w_k G_k` at a small positive level, background (of weight 1) included. Where
-:math:`F_l` is positive no other label's F can be, so tissues that touch in the image are left a hair apart, and stairs
-of voxels become smooth. The weights, near 1, are set so that each surface encloses the volume of its label's voxels,
-which smoothing alone would shrink: by :math:`3 \sigma^2 / r^2` for a ball of radius r. The triangles between voxels
-follow F only nearly: where three labels meet, surfaces can still share about a millionth of their volume.
+"""Label maps -> layered surfaces: one closed surface for each label, a hair apart from its neighbours'; opens no file.
 
 Multi-label surface nets (VTK; ``pyvista.ImageDataFilters.contour_labels``) give neighbours one common interface
 instead. On 12 touching cells at 1 mm voxels these are as accurate (0.07 mm from the true cells on average, here 0.09)
@@ -17,46 +10,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, gaussian_filter, label
-from skimage.measure import marching_cubes
 
 from musclefit.anatomy.cleaning import take_in
 from musclefit.anatomy.findings import Finding, some_of
+from musclefit.anatomy.label_voxels import SMOOTHING_VOXELS, DrawnApart, LabelBlock, LabelVoxels, draw_apart, weigh
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
-from musclefit.geometry.arrays import Faces, Float, Int, Points
+from musclefit.geometry.arrays import Faces, Int, Points
 from musclefit.geometry.images.grids import Frame, Grid, in_frame
-from musclefit.geometry.measures import area_vectors, enclosed_volume
+from musclefit.geometry.measures import enclosed_volume
 from musclefit.geometry.meshes import TriMesh
 from musclefit.progress import Progress, Silent
-
-SMOOTHING_VOXELS = 0.6
-"""Standard deviation of the Gaussian that takes the stairs away, in voxels: with more, edges of boxes are rounded by
-more than half a voxel."""
-
-LEVEL = 0.02
-"""Of F, whose slope across a flat boundary is about 1.3 per voxel: tissues that touch end 0.03 voxels apart."""
-
-PADDING = 4
-"""Voxels around a label that its smoothed mask may reach."""
-
-VOLUME_SHARE = 0.003
-"""Weights are sought until a surface's volume is this near to its voxels', relatively."""
-
-ROUNDS = 6
-"""Of that search."""
-
-MOST_WEIGHT = 2.5
-"""And least one over it: a gap of one voxel between labels stays open below 3."""
-
-SHIFT_PER_LOG_WEIGHT = 0.5 * SMOOTHING_VOXELS * np.sqrt(np.pi / 2.0)
-"""By how many voxels a flat boundary moves as the logarithm of a label's weight grows by 1."""
 
 FOLLOWS_PERCENT = 1.0
 """A surface whose volume differs from its voxels' by more is told."""
@@ -159,24 +129,28 @@ def label_anatomy(
     numbers = {name.name: 0 if name.kind is TissueKind.SKIN else where[name.value] for name in present}
     maps = LabelVoxels(compact, np.zeros(len(values)), numbers)
     tissues: list[Tissue] = []
-    with (progress or Silent()).stage("surfaces of labels") as tick:
+    stages = progress or Silent()
+    with stages.stage("surfaces of labels") as tick:
         inner = [name for name in present if name.kind is not TissueKind.SKIN]
-        _weigh(maps, [numbers[name.name] for name in inner], tick)
-        for name in present:
-            number, mask = numbers[name.name], maps.block_of(name.name)
-            made = maps.surface(number) if number else maps.whole(mask)
-            if not number:
-                found += _hollow(name.name, mask)
-            if made is None:
-                found.append(_too_thin(name, int((compact == number).sum()), source))
-                continue
-            try:
-                tissue, notes = _tissue(*made, name, grid=grid, frame=frame, source=source)
-            except MeshError as error:
-                found.append(Finding(name.name, "left-out", f"{name.name}: is left out: {error}"))
-                continue
-            tissues.append(tissue)
-            found += [*notes, *_cut(name.name, mask, compact.shape)]
+        weigh(maps, [numbers[name.name] for name in inner], tick)
+    with stages.stage("labels that fold into each other") as tick:
+        drawn = draw_apart(maps, numbers.values(), tick)
+        found += _drawn(drawn, numbers, grid)
+    for name in present:
+        number, mask = numbers[name.name], maps.block_of(name.name)
+        made = drawn.surfaces.get(number)
+        if not number:
+            found += _hollow(name.name, mask)
+        if made is None:
+            found.append(_too_thin(name, int((compact == number).sum()), source))
+            continue
+        try:
+            tissue, notes = _tissue(*made, name, grid=grid, frame=frame, source=source)
+        except MeshError as error:
+            found.append(Finding(name.name, "left-out", f"{name.name}: is left out: {error}"))
+            continue
+        tissues.append(tissue)
+        found += [*notes, *_cut(name.name, mask, compact.shape)]
     if not tissues:
         said = "; ".join(one.message for one in found[:4])
         raise InputError(f"{source}: no label makes a surface ({said}); give finer voxels or other labels")
@@ -205,96 +179,23 @@ def label_fits(
     return tuple(fits), tuple(finding for fit in fits for finding in _off(fit))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class LabelBlock:
-    """Labels around one label, padded with background beyond the image; ``start`` is its first voxel's number."""
-
-    labels: NDArray[np.int32]
-    inside: NDArray[np.bool_]
-    start: Int
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class LabelVoxels:
-    """Labels numbered from 0 (background) on, the logarithm of each one's weight, and tissues' numbers (skin: 0)."""
-
-    labels: NDArray[np.int32]
-    log_weights: Float
-    numbers: Mapping[str, int]
-    boxes: list[Any] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "boxes", find_objects(self.labels))
-
-    def block_of(self, name: str) -> LabelBlock:
-        """The voxels of a tissue: its label's, or of a skin, all labels' without cavities."""
-        return self.block(self.numbers[name], whole=not self.numbers[name])
-
-    def block(self, number: int, *, whole: bool = False) -> LabelBlock:
-        """The voxels of a label, or of all."""
-        box = find_objects((self.labels != 0).astype(np.uint8))[0] if whole else self.boxes[number - 1]
-        start = [max(s.start - PADDING, 0) for s in box]
-        stop = [min(s.stop + PADDING, n) for s, n in zip(box, self.labels.shape, strict=True)]
-        widths = [(PADDING - s.start + a, PADDING - b + s.stop) for s, a, b in zip(box, start, stop, strict=True)]
-        crop = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
-        around = np.pad(self.labels[crop], widths)
-        first = np.array([s.start - PADDING for s in box])
-        if not whole:
-            return LabelBlock(around, around == number, first)
-        cut = [(axis, PADDING) for axis, s in enumerate(box) if s.start == 0]
-        cut += [(axis, -PADDING - 1) for axis, s in enumerate(box) if s.stop == self.labels.shape[axis]]
-        return LabelBlock(around, _filled(around != 0, cut), first)
-
-    def surface(self, number: int) -> tuple[Points, Faces] | None:
-        """Vertices, in voxel numbers, and faces of a label; None where it leads nowhere."""
-        block = self.block(number)
-        own = self._smoothed(block.inside, number)
-        best = self._smoothed(block.labels == 0, 0)
-        for value, box in enumerate(find_objects(block.labels), start=1):
-            if box is None or value == number:
-                continue
-            part = tuple(slice(max(s.start - PADDING, 0), s.stop + PADDING) for s in box)
-            np.maximum(best[part], self._smoothed(block.labels[part] == value, value), out=best[part])
-        return _level_set(own - best, LEVEL, block.start)
-
-    def whole(self, block: LabelBlock) -> tuple[Points, Faces] | None:
-        """The same of all labels together, around the surfaces of each of them and without cavities."""
-        best = _smooth(block.inside)
-        for number, box in enumerate(self.boxes, start=1):
-            if box is None or self.log_weights[number] <= 0.0:
-                continue  # no more than its share of all labels
-            own = self.block(number)
-            corner = own.start - block.start
-            part = tuple(slice(int(a), int(a) + n) for a, n in zip(corner, own.inside.shape, strict=True))
-            best[part] = np.maximum(best[part], self._smoothed(own.inside, number))
-        return _level_set(best - _smooth(~block.inside), -LEVEL, block.start)
-
-    def _smoothed(self, mask: NDArray[np.bool_], number: int) -> NDArray[np.float32]:
-        return _smooth(mask) * np.float32(np.exp(self.log_weights[number]))
-
-
-def _smooth(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    smoothed: NDArray[np.float32] = gaussian_filter(mask.astype(np.float32), SMOOTHING_VOXELS, mode="nearest")
-    return smoothed
-
-
-def _filled(inside: NDArray[np.bool_], cut: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-    """The mask and its cavities; in a slice that the image cuts (axis, number), what the mask surrounds is one.
-
-    A skin may be given as a shell, which the image cuts open where it ends.
-    """
-    closed = inside.copy()
-    for axis, number in cut:
-        side = np.moveaxis(closed, axis, 0)[number]
-        side |= _surrounded(side)
-    return closed | _surrounded(closed)
-
-
-def _surrounded(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """What is not in a mask and not joined to the corner of its box, which is outside."""
-    outside, _ = label(~mask)
-    surrounded: NDArray[np.bool_] = ~mask & (outside != outside[(0,) * mask.ndim])
-    return surrounded
+def _drawn(drawn: DrawnApart, numbers: Mapping[str, int], grid: Grid) -> list[Finding]:
+    """What is told of surfaces that were drawn apart."""
+    if not drawn.cubes:
+        return []
+    names = {number: name for name, number in numbers.items()}
+    share = {number: abs(after / before - 1.0) for number, (before, after) in drawn.volumes.items()}
+    most = max(share, key=lambda number: share[number])
+    size = abs(float(np.linalg.det(grid.affine[:3, :3])))
+    moved = size * sum(abs(after - before) for before, after in drawn.volumes.values())
+    message = (
+        f"{some_of(names[number] for number in sorted(drawn.cubes))}: drawn back in {sum(drawn.cubes.values())} places "
+        f"between voxels where they would cross smaller labels, by {moved:.3g} mm³ in all and at most "
+        f"{100.0 * share[most]:.2g} % of a label ({names[most]})"
+    )
+    if drawn.left:
+        message += f"; {drawn.left} still cross others"
+    return [Finding("labels", "drawn-apart", message)]
 
 
 def _hollow(name: str, block: LabelBlock) -> list[Finding]:
@@ -307,47 +208,12 @@ def _hollow(name: str, block: LabelBlock) -> list[Finding]:
     return [Finding(name, "hollow", message)]
 
 
-def _level_set(values: NDArray[np.float32], level: float, start: Int) -> tuple[Points, Faces] | None:
-    if not (values > level).any():
-        return None
-    vertices, faces, _, _ = marching_cubes(values, level)
-    return vertices.astype(np.float64) + start, faces[:, ::-1].astype(np.int64)
-
-
 def _numbered(labels: NDArray[Any], values: Int) -> NDArray[np.int32]:
     """The labels as numbers from 0 on, slice by slice: an index for each voxel at once would take much memory."""
     numbers = np.empty(labels.shape, dtype=np.int32)
     for place, of in zip(numbers, labels, strict=True):
         place[:] = np.searchsorted(values, of)
     return numbers
-
-
-def _weigh(maps: LabelVoxels, numbers: Sequence[int], tick: Any) -> None:
-    """Set the labels' weights so that surfaces enclose what their voxels do."""
-    counts = np.bincount(maps.labels.ravel(), minlength=len(maps.log_weights))
-    around = {number: np.unique(maps.block(number).labels) for number in numbers}
-    most = np.log(MOST_WEIGHT)
-    moved = np.ones(len(maps.log_weights), dtype=bool)
-    for turn in range(ROUNDS):
-        changes = np.zeros(len(maps.log_weights))
-        for number in numbers:
-            if not moved[around[number]].any():
-                continue  # its surface is what it was
-            made = maps.surface(number)
-            if made is None:
-                changes[number] = 0.5 * most
-                continue
-            mesh = TriMesh(*made)
-            missing = counts[number] - abs(enclosed_volume(mesh))
-            if abs(missing) > VOLUME_SHARE * counts[number]:
-                area = float(np.linalg.norm(area_vectors(mesh), axis=1).sum())
-                changes[number] = np.clip(missing / area / SHIFT_PER_LOG_WEIGHT, -0.5 * most, 0.5 * most)
-        before = maps.log_weights.copy()
-        maps.log_weights[:] = np.clip(before + changes, -most, most)
-        tick((turn + 1) / (ROUNDS + 1))
-        moved = maps.log_weights != before
-        if not moved.any():
-            return
 
 
 def _tissue(

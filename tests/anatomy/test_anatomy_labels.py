@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from musclefit.anatomy.label_surfaces import LabelName, label_anatomy, label_fits
 from musclefit.anatomy.model import TissueKind
@@ -220,3 +223,34 @@ def test_cells_that_touch_are_as_good_as_multi_label_surface_nets():
     shared = sum(overlap_volume(a, b) for i, a in enumerate(solids) for b in solids[i + 1 :])
     assert shared < 3e-6 * 4.0 / 3.0 * np.pi * radius**3
     assert not any(len(self_crossings(tissue.surface)) for tissue in cells)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_labels_that_fold_into_each_other_share_no_point(seed):
+    """Sheets a voxel or two thick and wound into each other, in skin, of voxels that are too coarse for them."""
+    rng = np.random.default_rng(seed)
+    grid = Grid((30, 28, 26), np.diag([2.0, 2.0, 3.0, 1.0]))
+    noise = [gaussian_filter(rng.normal(size=grid.shape), 1.5) for _ in range(4)]
+    labels = (np.argmax(noise, axis=0) + 1).astype(np.int16)
+    labels[np.linalg.norm(np.indices(grid.shape).T - [15.0, 14.0, 13.0], axis=-1).T > 11.0] = 0
+    kinds = (TissueKind.MUSCLE, TissueKind.BONE, TissueKind.OTHER, TissueKind.SKIN)
+    names = [LabelName(k, f"fold_{k}", kind) for k, kind in enumerate(kinds, start=1)]
+    made = label_anatomy(labels, grid, names=names, frame=Frame.RAS, source="folds")
+    surfaces = [tissue.surface for tissue in made.anatomy]
+    assert len(surfaces) == 4
+    for one, other in combinations(surfaces, 2):
+        assert not len(crossings_between(one, other))
+    said = next(finding.message for finding in made.findings if finding.code == "drawn-apart")
+    assert "drawn back in" in said
+    assert "still cross" not in said
+    fits, _ = label_fits(made.anatomy, made, grid, frame=Frame.RAS)
+    assert all(abs(fit.volume_percent) < 5.0 for fit in fits), fits
+
+
+def test_labels_of_single_voxels_share_no_point_either():
+    """Each voxel one of three labels by chance: whatever is left of them, nothing crosses."""
+    labels = np.random.default_rng(5).integers(0, 4, size=(14, 15, 16))
+    names = [LabelName(k, f"grain_{k}", TissueKind.OTHER) for k in (1, 2, 3)]
+    made = label_anatomy(labels, Grid((14, 15, 16), np.eye(4)), names=names, frame=Frame.RAS, source="grains")
+    for one, other in combinations([tissue.surface for tissue in made.anatomy], 2):
+        assert not len(crossings_between(one, other))

@@ -1,0 +1,311 @@
+r"""Voxels of labels -> level sets, in numbers of voxels: as large as their labels, and none crossing another.
+
+Each label's mask is smoothed by a Gaussian, G_l, and its surface is the level set of
+:math:`F_l = w_l G_l - \max_{k \ne l} w_k G_k` at a small positive level, background (of weight 1) included. Where
+:math:`F_l` is positive no other label's F can be, so tissues that touch in the image are left a hair apart, and stairs
+of voxels become smooth. The weights, near 1, are set so that each surface encloses the volume of its label's voxels,
+which smoothing alone would shrink: by :math:`3 \sigma^2 / r^2` for a ball of radius r.
+
+The triangles between voxels follow F only nearly: where labels fold into each other, or three of them meet, surfaces
+of two labels can cross in a cube between eight voxels, each of them joined through its middle. The larger label's level
+is raised at the corners of such cubes until they no longer do (for the skin, which is around all labels, lowered). That
+ends: a cube whose corners are all on one side of the level has no triangle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects, gaussian_filter, label
+from skimage.measure import marching_cubes
+
+from musclefit.geometry.arrays import Faces, Float, Int, Points
+from musclefit.geometry.measures import area_vectors, enclosed_volume
+from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.surfaces.crossings import crossings_between
+
+SMOOTHING_VOXELS = 0.6
+"""Standard deviation of the Gaussian that takes the stairs away, in voxels: with more, edges of boxes are rounded by
+more than half a voxel."""
+
+LEVEL = 0.02
+"""Of F, whose slope across a flat boundary is about 1.3 per voxel: tissues that touch end 0.03 voxels apart."""
+
+PADDING = 4
+"""Voxels around a label that its smoothed mask may reach."""
+
+VOLUME_SHARE = 0.003
+"""Weights are sought until a surface's volume is this near to its voxels', relatively."""
+
+ROUNDS = 6
+"""Of that search."""
+
+MOST_WEIGHT = 2.5
+"""And least one over it: a gap of one voxel between labels stays open below 3."""
+
+SHIFT_PER_LOG_WEIGHT = 0.5 * SMOOTHING_VOXELS * np.sqrt(np.pi / 2.0)
+"""By how many voxels a flat boundary moves as the logarithm of a label's weight grows by 1."""
+
+FIRST_RAISE, RAISE_GROWTH = 0.05, 1.2
+"""Of the level where two surfaces cross, and by how much more it is raised each time they still do."""
+
+RAISES = 16
+"""With these, levels are raised by more than the largest weight, which is above all that F can be."""
+
+_CORNERS = np.array(list(product((0, 1), repeat=3)))
+"""(8, 3) of a cube between voxels."""
+
+Surface = tuple[Points, Faces]
+"""Vertices, in numbers of voxels, and faces."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LabelBlock:
+    """Labels around one label, padded with background beyond the image; ``start`` is its first voxel's number."""
+
+    labels: NDArray[np.int32]
+    inside: NDArray[np.bool_]
+    start: Int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LabelVoxels:
+    """Labels numbered from 0 (background) on, the logarithm of each one's weight, and tissues' numbers (skin: 0).
+
+    ``raised`` has, for the labels whose level is not the same everywhere, the voxels where it is raised, and by how
+    much: (m, 4).
+    """
+
+    labels: NDArray[np.int32]
+    log_weights: Float
+    numbers: Mapping[str, int]
+    raised: dict[int, Float] = field(default_factory=dict)
+    boxes: list[Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boxes", find_objects(self.labels))
+
+    def block_of(self, name: str) -> LabelBlock:
+        """The voxels of a tissue: its label's, or of a skin, all labels' without cavities."""
+        return self.block(self.numbers[name], whole=not self.numbers[name])
+
+    def block(self, number: int, *, whole: bool = False) -> LabelBlock:
+        """The voxels of a label, or of all."""
+        box = find_objects((self.labels != 0).astype(np.uint8))[0] if whole else self.boxes[number - 1]
+        start = [max(s.start - PADDING, 0) for s in box]
+        stop = [min(s.stop + PADDING, n) for s, n in zip(box, self.labels.shape, strict=True)]
+        widths = [(PADDING - s.start + a, PADDING - b + s.stop) for s, a, b in zip(box, start, stop, strict=True)]
+        crop = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
+        around = np.pad(self.labels[crop], widths)
+        first = np.array([s.start - PADDING for s in box])
+        if not whole:
+            return LabelBlock(around, around == number, first)
+        cut = [(axis, PADDING) for axis, s in enumerate(box) if s.start == 0]
+        cut += [(axis, -PADDING - 1) for axis, s in enumerate(box) if s.stop == self.labels.shape[axis]]
+        return LabelBlock(around, _filled(around != 0, cut), first)
+
+    def surface(self, number: int) -> Surface | None:
+        """That of a label, or of all together (0); None where it leads nowhere."""
+        if not number:
+            return self._whole(self.block(0, whole=True))
+        block = self.block(number)
+        own = self._smoothed(block.inside, number)
+        best = self._smoothed(block.labels == 0, 0)
+        for value, box in enumerate(find_objects(block.labels), start=1):
+            if box is None or value == number:
+                continue
+            part = tuple(slice(max(s.start - PADDING, 0), s.stop + PADDING) for s in box)
+            np.maximum(best[part], self._smoothed(block.labels[part] == value, value), out=best[part])
+        return self._level_set(own - best, block, number)
+
+    def raise_level(self, number: int, cubes: Int, by: float) -> None:
+        """Draw a label's surface in, or that of all labels out, at the corners of cubes, (m, 3) their first voxels."""
+        corners = np.unique((cubes[:, None] + _CORNERS).reshape(-1, 3), axis=0)
+        more = np.column_stack([corners, np.full(len(corners), by)])
+        self.raised[number] = np.concatenate([self.raised.get(number, np.empty((0, 4))), more])
+
+    def _whole(self, block: LabelBlock) -> Surface | None:
+        """Around the surfaces of all labels, and without cavities."""
+        best = _smooth(block.inside)
+        for number, box in enumerate(self.boxes, start=1):
+            if box is None or self.log_weights[number] <= 0.0:
+                continue  # no more than its share of all labels
+            own = self.block(number)
+            corner = own.start - block.start
+            part = tuple(slice(int(a), int(a) + n) for a, n in zip(corner, own.inside.shape, strict=True))
+            best[part] = np.maximum(best[part], self._smoothed(own.inside, number))
+        return self._level_set(best - _smooth(~block.inside), block, 0)
+
+    def _level_set(self, values: NDArray[np.float32], block: LabelBlock, number: int) -> Surface | None:
+        """Of a label's F where it is the level, of all labels' where it is the level below 0."""
+        sign = 1.0 if number else -1.0
+        if number in self.raised:
+            at = self.raised[number][:, :3].astype(np.int64) - block.start
+            np.add.at(values, tuple(at.T), -sign * self.raised[number][:, 3].astype(np.float32))
+        if not (values > sign * LEVEL).any():
+            return None
+        vertices, faces, _, _ = marching_cubes(values, sign * LEVEL)
+        return vertices.astype(np.float64) + block.start, faces[:, ::-1].astype(np.int64)
+
+    def _smoothed(self, mask: NDArray[np.bool_], number: int) -> NDArray[np.float32]:
+        return _smooth(mask) * np.float32(np.exp(self.log_weights[number]))
+
+
+def _smooth(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    smoothed: NDArray[np.float32] = gaussian_filter(mask.astype(np.float32), SMOOTHING_VOXELS, mode="nearest")
+    return smoothed
+
+
+def _filled(inside: NDArray[np.bool_], cut: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """The mask and its cavities; in a slice that the image cuts (axis, number), what the mask surrounds is one.
+
+    A skin may be given as a shell, which the image cuts open where it ends.
+    """
+    closed = inside.copy()
+    for axis, number in cut:
+        side = np.moveaxis(closed, axis, 0)[number]
+        side |= _surrounded(side)
+    return closed | _surrounded(closed)
+
+
+def _surrounded(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What is not in a mask and not joined to the corner of its box, which is outside."""
+    outside, _ = label(~mask)
+    surrounded: NDArray[np.bool_] = ~mask & (outside != outside[(0,) * mask.ndim])
+    return surrounded
+
+
+def weigh(maps: LabelVoxels, numbers: Sequence[int], tick: Any) -> None:
+    """Set the labels' weights so that surfaces enclose what their voxels do."""
+    counts = np.bincount(maps.labels.ravel(), minlength=len(maps.log_weights))
+    around = {number: np.unique(maps.block(number).labels) for number in numbers}
+    most = np.log(MOST_WEIGHT)
+    moved = np.ones(len(maps.log_weights), dtype=bool)
+    for turn in range(ROUNDS):
+        changes = np.zeros(len(maps.log_weights))
+        for number in numbers:
+            if not moved[around[number]].any():
+                continue  # its surface is what it was
+            made = maps.surface(number)
+            if made is None:
+                changes[number] = 0.5 * most
+                continue
+            mesh = TriMesh(*made)
+            missing = counts[number] - abs(enclosed_volume(mesh))
+            if abs(missing) > VOLUME_SHARE * counts[number]:
+                area = float(np.linalg.norm(area_vectors(mesh), axis=1).sum())
+                changes[number] = np.clip(missing / area / SHIFT_PER_LOG_WEIGHT, -0.5 * most, 0.5 * most)
+        before = maps.log_weights.copy()
+        maps.log_weights[:] = np.clip(before + changes, -most, most)
+        tick((turn + 1) / (ROUNDS + 1))
+        moved = maps.log_weights != before
+        if not moved.any():
+            return
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrawnApart:
+    """Surfaces of labels, and what was drawn in of them where they crossed.
+
+    Parameters
+    ----------
+    surfaces : mapping of label number to surface
+        Of those that lead anywhere.
+    cubes : mapping of label number to int
+        Cubes between voxels at whose corners its level was raised; 0 is all labels together.
+    volumes : mapping of label number to tuple of float
+        What its surface enclosed before and after, in voxels.
+    left : int
+        Pairs of labels that still cross.
+    """
+
+    surfaces: Mapping[int, Surface]
+    cubes: Mapping[int, int]
+    volumes: Mapping[int, tuple[float, float]]
+    left: int
+
+
+def draw_apart(maps: LabelVoxels, numbers: Iterable[int], tick: Any) -> DrawnApart:
+    """Raise the larger label's level where surfaces of two cross, until none do."""
+    surfaces = {number: made for number in numbers if (made := maps.surface(number)) is not None}
+    cubes: dict[int, list[Int]] = {}
+    first: dict[int, float] = {}
+    for turn in range(RAISES + 1):
+        crossing = _crossing_cubes(surfaces)
+        if not crossing or turn == RAISES:
+            break
+        for number, found in crossing.items():
+            first.setdefault(number, _enclosed(surfaces[number]))
+            cubes.setdefault(number, []).append(found)
+            maps.raise_level(number, found, FIRST_RAISE * RAISE_GROWTH**turn)
+            made = maps.surface(number)
+            if made is None:
+                del surfaces[number]
+            else:
+                surfaces[number] = made
+        tick((turn + 1) / (RAISES + 1))
+    return DrawnApart(
+        surfaces,
+        {number: len(np.unique(np.concatenate(found), axis=0)) for number, found in cubes.items()},
+        {number: (before, _enclosed(surfaces.get(number))) for number, before in first.items()},
+        len(crossing),
+    )
+
+
+def _enclosed(surface: Surface | None) -> float:
+    return 0.0 if surface is None else abs(enclosed_volume(TriMesh(*surface)))
+
+
+def _crossing_cubes(surfaces: Mapping[int, Surface]) -> dict[int, Int]:
+    """(m, 3) the cubes, by their first voxels, in which a label's triangles cross those of a smaller one.
+
+    A triangle lies in one cube, and on the sides of cubes no two surfaces meet, so triangles are tried cube by cube.
+    """
+    held = {number: _Cubes.of(surface) for number, surface in surfaces.items()}
+    size = {number: _enclosed(surface) for number, surface in surfaces.items()}
+    found: dict[int, list[Int]] = {}
+    for one, other in combinations(held, 2):
+        a, b = held[one], held[other]
+        common = a.common(b)
+        if not len(common):
+            continue
+        faces = [own.faces_in(common) for own in (a, b)]
+        meshes = [TriMesh(surfaces[k][0], surfaces[k][1][own]) for k, own in zip((one, other), faces, strict=True)]
+        pairs = crossings_between(*meshes).pairs
+        if len(pairs):
+            found.setdefault(max(one, other, key=size.__getitem__), []).append(a.cubes[faces[0][pairs[:, 0]]])
+    return {number: np.unique(np.concatenate(cubes), axis=0) for number, cubes in found.items()}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Cubes:
+    """The cube that each triangle lies in, as its first voxel and as one number, and the box of them all."""
+
+    cubes: Int
+    keys: Int
+    low: Int
+    high: Int
+
+    @classmethod
+    def of(cls, surface: Surface) -> _Cubes:
+        vertices, faces = surface
+        cubes = np.floor(vertices[faces].mean(axis=1)).astype(np.int64)
+        shifted = cubes + PADDING + 1
+        return cls(cubes, (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2], cubes.min(0), cubes.max(0))
+
+    def common(self, other: _Cubes) -> Int:
+        """Numbers of the cubes that both have triangles in."""
+        if (self.low > other.high).any() or (other.low > self.high).any():
+            return np.empty(0, dtype=np.int64)
+        both: Int = np.intersect1d(self.keys, other.keys)
+        return both
+
+    def faces_in(self, keys: Int) -> Int:
+        """(f,) triangles in some of the cubes."""
+        faces: Int = np.flatnonzero(np.isin(self.keys, keys))
+        return faces

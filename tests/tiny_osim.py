@@ -250,3 +250,10 @@ def opensim_markers(path: Path, values: dict[str, float]) -> dict[str, np.ndarra
     model, state = posed_in_opensim(path, values)
     found = [model.getMarkerSet().get(k) for k in range(model.getMarkerSet().getSize())]
     return {m.getName(): 1000.0 * np.array([m.getLocationInGround(state).get(i) for i in range(3)]) for m in found}
+
+
+def opensim_point(path: Path, values: dict[str, float], number: int) -> np.ndarray:
+    """Where OpenSim's own library has a path point of the first muscle, in its body's frame, mm."""
+    model, state = posed_in_opensim(path, values)
+    point = model.getMuscles().get(0).getGeometryPath().getPathPointSet().get(number)
+    return 1000.0 * np.array([point.getLocation(state).get(i) for i in range(3)])

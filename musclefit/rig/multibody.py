@@ -147,6 +147,14 @@ class JointAxis:
         return self.function(values[self.coordinate] if self.coordinate else 0.0)
 
 
+def slide(axes: Sequence[JointAxis], values: Mapping[str, float]) -> Float:
+    """(3,) the sum of what axes slide at coordinates' values, in the model's lengths."""
+    way = np.zeros(3)
+    for axis in axes:
+        way = way + axis.amount(values) * axis.direction / np.linalg.norm(axis.direction)
+    return way
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class BodyJoint:
     """A joint between two bodies.
@@ -176,10 +184,7 @@ class BodyJoint:
         for axis in self.turns:
             unit = axis.direction / np.linalg.norm(axis.direction)
             rotation = rotation @ Rotation.from_rotvec(axis.amount(values) * unit).as_matrix()
-        way = np.zeros(3)
-        for axis in self.slides:
-            unit = axis.direction / np.linalg.norm(axis.direction)
-            way = way + axis.amount(values) * self.length_mm * unit
+        way = self.length_mm * slide(self.slides, values)
         return self.in_parent @ RigidMotion(rotation, way) @ self.in_child.inverse()
 
 

@@ -31,6 +31,7 @@ from musclefit.progress import Progress
 from musclefit.rig.job import FAR_DIAGONALS
 from musclefit.rig.linear_fits import AxisFactors, axis_factors
 from musclefit.rig.multibody import GROUND, BodyJoint
+from musclefit.rig.place_curves import PlaceCurve, stated_values
 from musclefit.rig.wrap_fits import FittedWrap, fitted_wrap, wrap_samples
 from musclefit.vocabulary import Unit
 from musclefit.workflows.import_osim import read_osim
@@ -292,19 +293,51 @@ class _Carrier:
             if point.body == GROUND:
                 self.left.append(f"{point.kind} {point.name!r}: stands on the ground")
                 continue
-            edits.append((point.element, _text(now.frame.inverse()(moved[id(point)][None])[0] / _M)))
             self.count += 1
+            if point.curve is not None:
+                edits += self._moving(point, now.frame)
+                continue
+            edits.append((point.element, _text(now.frame.inverse()(moved[id(point)][None])[0] / _M)))
         for wrap, there in zip(self.model.wraps, self.jointed.wraps, strict=True):
             if wrap.body == GROUND:
                 self.left.append(f"{wrap.kind} {wrap.name!r}: stands on the ground")
                 continue
             edits += self._wrap(wrap, there.frame)
         edits += self._lengths(moved)
+        read = {id(point.element) for point in self.model.points}
         self.left += [
             f"MovingPathPoint {found.name!r}: its functions are kept"
             for found in self.model.root.all("MovingPathPoint")
+            if id(found) not in read
         ]
         return edits
+
+    def _moving(self, point: BodyPoint, frame: RigidMotion) -> list[tuple[Element, str]]:
+        """The functions of a point that coordinates move, its frame being there in the body now."""
+        assert point.curve is not None
+        to_frame = (self.after[point.body] @ frame).inverse()
+        return self._curve(
+            f"{point.kind} {point.name!r}",
+            point.curve,
+            point.functions,
+            lambda local: to_frame(self._gone(point.body, point.frame(local))),
+        )[1]
+
+    def _curve(
+        self, what: str, curve: PlaceCurve, functions: Sequence[Element | None], move: Move
+    ) -> tuple[PlaceCurve, list[tuple[Element, str]]]:
+        """A place that coordinates move, carried; what of it is not at its knots, or stays, is told."""
+        values = self.model.multibody.values({})
+        made = curve.carried(move, values, editable=[element is not None for element in functions])
+        edits = [
+            (element, _text(stated_values(axis.function)))
+            for axis, element, changed in zip(made.curve.axes, functions, made.changed, strict=True)
+            if changed and element is not None
+        ]
+        if made.off_mm > AGREED_MM:
+            said = "a function of it that is constant, linear or a polynomial keeps it"
+            self.left.append(f"{what}: {said} up to {made.off_mm:.2g} mm off the map where its coordinates move it")
+        return made.curve, edits
 
     def _gone(self, body: str, local: Points) -> Points:
         """Where (n, 3) places of a body's frame go, in the ground's, mm; on the ground nothing moves."""
@@ -350,7 +383,17 @@ class _Carrier:
             at = self._gone(joint.parent, local) if in_parent is not None else parent(local)
             new_frame = RigidMotion(frame.rotation, at[0])
         motion = joint.in_parent.inverse() @ joint.place(values) @ joint.in_child
-        middle = new_frame @ motion
+        edits: list[tuple[Element, str]] = []
+        way = motion.translation
+        if joint.parent != GROUND and any(self.model.slides.get(joint.name, ())):
+            slides, edits = self._curve(
+                f"joint {joint.name!r}",
+                PlaceCurve(joint.slides, joint.length_mm),
+                self.model.slides[joint.name],
+                lambda local: new_frame.inverse()(self._gone(joint.parent, joint.in_parent(local))),
+            )
+            way = slides.at(values)
+        middle = new_frame @ RigidMotion(motion.rotation, way)
         for body, told, place in (
             (joint.parent, in_parent, joint.in_parent),
             (joint.child, in_child, joint.in_child),
@@ -359,7 +402,6 @@ class _Carrier:
                 self.left.append(
                     f"joint {joint.name!r}: its frame on {body!r} is none of its own, and stays in the body"
                 )
-        edits = []
         if in_parent is not None:
             at = (parent @ in_parent.frame).inverse()(new_frame.translation[None])
             edits.append((in_parent.element, _text(at[0] / _M)))

@@ -8,12 +8,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_osim import MODEL, MOTION, opensim_markers, opensim_places, with_offset_frames, write_tiny_osim
+from tiny_osim import (
+    CONSTANT,
+    MODEL,
+    MOTION,
+    PIECES,
+    POLYNOMIAL,
+    SPLINE,
+    TIMES,
+    axis,
+    opensim_markers,
+    opensim_places,
+    opensim_point,
+    with_offset_frames,
+    write_tiny_osim,
+)
 
 import musclefit as mf
 from musclefit.cli import main
 from musclefit.io.anatomy import read_surface
 from musclefit.io.formats.osim import OpenSimModel, parse_osim
+from musclefit.rig.multibody import BodyJoint
 from musclefit.rig.wrap_fits import fitted_wrap, wrap_samples
 
 LINEAR = np.array([[1.1, 0.05, 0.0], [0.0, 1.2, 0.0], [0.0, 0.1, 0.9]])
@@ -75,9 +90,92 @@ def test_all_that_is_no_place_stays_byte_for_byte(carried: tuple[Path, Path], tm
     model, rig = carried
     mf.export_osim(rig, model, tmp_path / "out", progress=None)
     numbers = re.compile(
-        r">[^<>]*</(translation|location|mass_center|xyz_body_rotation|radius|length|mesh_file|optimal_fiber_length|tendon_slack_length)>"
+        r">[^<>]*</(translation|location|mass_center|xyz_body_rotation|radius|length|mesh_file|optimal_fiber_length|tendon_slack_length|y|value)>"
     )
     assert numbers.sub("", (tmp_path / "out" / "tiny.osim").read_text()) == numbers.sub("", MODEL)
+
+
+KNOTS = (-2.0, -1.0, -0.4, 0.0, 0.5, 1.5)
+SLIDING = MODEL.replace(PIECES, SPLINE.replace("0.002", "-0.31")).replace(
+    axis("translation3", "0 0 1", "", CONSTANT), axis("translation3", "0 0 1", "knee", SPLINE.replace("0.006", "0.05"))
+)
+"""The knee slides along three splines with the same knots, as far as a thigh is long."""
+
+
+def test_where_splines_move_a_joint_the_map_takes_its_way(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    """An affine map of splines with common knots is one of splines: the joint's frame is there at any angle."""
+    model, rig = carried
+    model.write_text(SLIDING)
+    made = mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    out = tmp_path / "out" / "tiny.osim"
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, out))
+    for angle in (*KNOTS, 0.2, 0.9, -1.6, 1.9):
+        before, after = (opensim_places(path, old.multibody.values({"knee": angle})) for path in (model, out))
+        there, now = (
+            place["shank"][0] @ joint_of(read, "kneejoint").in_child.translation + place["shank"][1]
+            for place, read in ((before, old), (after, new))
+        )
+        np.testing.assert_allclose(now, LINEAR @ there + SHIFT, atol=1e-6)
+    assert not [said for said in made.left if "kneejoint" in said]
+
+
+def test_what_functions_cannot_state_of_a_joints_way_is_told(carried: tuple[Path, Path], tmp_path: Path) -> None:
+    """Two functions of different knots and a constant: each is right where it is stated, and the worst is told."""
+    model, rig = carried
+    made = mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, tmp_path / "out" / "tiny.osim"))
+    off = []
+    for angle in (*KNOTS, 2.0, 0.2):
+        values = old.multibody.values({"knee": angle})
+        there, now = (
+            (read.multibody.places(values)["shank"] @ joint_of(read, "kneejoint").in_child).translation
+            for read in (old, new)
+        )
+        off.append(np.linalg.norm(now - (LINEAR @ there + SHIFT)))
+    (said,) = [said for said in made.left if "kneejoint" in said]
+    told = float(re.findall(r"up to (\S+) mm", said)[0])
+    assert told == pytest.approx(max(off), rel=0.05)
+    assert told < 6.0
+
+
+MOVING = (
+    '<MovingPathPoint name="puller-M"><socket_parent_frame>/bodyset/shank</socket_parent_frame>'
+    "<socket_x_coordinate>/jointset/kneejoint/knee</socket_x_coordinate>"
+    "<socket_y_coordinate>/jointset/kneejoint/knee</socket_y_coordinate>"
+    "<socket_z_coordinate>/jointset/kneejoint/knee</socket_z_coordinate>"
+    f"<x_location>{SPLINE}</x_location><y_location>{TIMES}</y_location>"
+    "<z_location>{z}</z_location></MovingPathPoint>"
+)
+
+
+@pytest.mark.parametrize("z", [SPLINE, CONSTANT, POLYNOMIAL])
+def test_points_that_coordinates_move_go_where_the_map_takes_them(
+    carried: tuple[Path, Path], tmp_path: Path, z: str
+) -> None:
+    model, rig = carried
+    first = '<PathPoint name="puller-P2">'
+    model.write_text(MODEL.replace(first, MOVING.replace("{z}", z) + first))
+    made = mf.export_osim(rig, model, tmp_path / "out", progress=None)
+    out = tmp_path / "out" / "tiny.osim"
+    old, new = (parse_osim(path.read_bytes(), source="m") for path in (model, out))
+    said = [said for said in made.left if "puller-M" in said]
+    if z is POLYNOMIAL:  # not read: as it was
+        assert said == ["MovingPathPoint 'puller-M': its functions are kept"]
+        return
+    rest, there = old.multibody.places({})["shank"], new.multibody.places({})["shank"]
+    off = []
+    for angle in (*KNOTS, 0.9):
+        before, after = (opensim_point(path, old.multibody.values({"knee": angle}), 1) for path in (model, out))
+        off.append(np.linalg.norm(there(after[None])[0] - (LINEAR @ rest(before[None])[0] + SHIFT)))
+    assert max(off) < (1e-6 if z is SPLINE else 1.5)
+    assert bool(said) == (z is CONSTANT)
+    (muscle,) = made.muscles
+    lengths = [length(read, {}) for read in (old, new)]
+    np.testing.assert_allclose(made.muscles[muscle], lengths, rtol=1e-2 if z is CONSTANT else 1e-9)
+
+
+def joint_of(read: OpenSimModel, name: str) -> BodyJoint:
+    return next(joint for joint in read.multibody.joints if joint.name == name)
 
 
 def test_a_rig_elsewhere_is_refused(carried: tuple[Path, Path], tmp_path: Path) -> None:

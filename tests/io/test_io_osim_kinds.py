@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,7 @@ def test_every_point_and_wrap_object_is_read() -> None:
     assert [(p.name, p.kind) for p in model.points if p.of] == [
         ("a", "PathPoint"),
         ("b", "ConditionalPathPoint"),
+        ("c", "MovingPathPoint"),
         ("d", "PathPoint"),
     ]
     assert {wrap.kind: wrap.sizes_mm.tolist() for wrap in model.wraps} == {
@@ -105,3 +107,15 @@ def test_every_point_and_wrap_object_is_read() -> None:
         "WrapEllipsoid": [10.0, 20.0, 30.0],
         "WrapTorus": [10.0, 30.0],
     }
+
+
+def test_moving_points_are_read_in_the_spelling_of_older_files() -> None:
+    text = every_kind()
+    socket = r"<socket_([xyz])_coordinate>/jointset/customjoint/knee</socket_._coordinate>"
+    older = re.sub(socket, r"<\1_coordinate>knee</\1_coordinate>", text)
+    assert older != text
+    new, old = (next(p for p in parse_osim(t.encode(), source="m").points if p.name == "c") for t in (text, older))
+    assert old.curve is not None
+    assert new.curve is not None
+    for angle in (-1.0, 0.3, 2.0):
+        np.testing.assert_array_equal(old.curve.at({"knee": angle}), new.curve.at({"knee": angle}))

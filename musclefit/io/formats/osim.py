@@ -29,6 +29,7 @@ from musclefit.rig.multibody import (
     Polynomial,
     SimmSpline,
 )
+from musclefit.rig.place_curves import PlaceCurve
 from musclefit.vocabulary import Unit
 
 UNLIMITED = ("range", "coefficients")
@@ -57,6 +58,9 @@ WRAP_SIZES = {
     "WrapTorus": ("inner_radius", "outer_radius"),
 }
 """Wrap objects that are read, and the elements that hold their sizes."""
+_KNOTTED = ("Constant", "SimmSpline", "NaturalCubicSpline", "PiecewiseLinearFunction")
+"""Functions that are stated by their values."""
+
 _POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 
 
@@ -75,7 +79,8 @@ class BodyMesh:
 class BodyPoint:
     """A point fixed to a body: of a muscle's path (``of`` is the muscle), a marker (``of`` is ""), or a mass centre.
 
-    ``at`` (3,) is in the body's frame, mm; ``element`` is where its numbers stand.
+    ``at`` (3,) is in the body's frame, in the default pose, mm; ``element`` is where its numbers stand. A point that
+    coordinates move has a curve in ``frame``, and ``functions`` are where the numbers of its three functions stand.
     """
 
     of: str
@@ -86,6 +91,8 @@ class BodyPoint:
     element: Element
     frame: RigidMotion
     """Of the numbers, in the body's, mm."""
+    curve: PlaceCurve | None = None
+    functions: tuple[Element | None, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -127,6 +134,8 @@ class OpenSimModel:
     joint_places : mapping of joint to two FramePlaces or None
         Where the places of its frames in parent and child stand; None where they are the bodies' own, or those of
         frames that no joint holds.
+    slides : mapping of joint to tuple of Element or None
+        Where the numbers of the functions stand that slide a custom joint along its three axes.
     data : bytes
     root : Element
     """
@@ -140,6 +149,7 @@ class OpenSimModel:
     wraps: tuple[WrapObject, ...]
     not_followed: tuple[str, ...]
     joint_places: Mapping[str, tuple[FramePlace | None, FramePlace | None]]
+    slides: Mapping[str, tuple[Element | None, ...]]
     data: bytes
     root: Element
 
@@ -180,6 +190,7 @@ class _Reader:
     root: Element
     bodies: Mapping[str, Element] | None = None
     joint_places: dict[str, tuple[FramePlace | None, FramePlace | None]] = field(default_factory=dict)
+    slides: dict[str, tuple[Element | None, ...]] = field(default_factory=dict)
     length_mm: float = 1000.0
     paths: dict[int, tuple[str, ...]] = field(default_factory=dict)
     """Of each component, by the id of its element."""
@@ -210,10 +221,11 @@ class _Reader:
             version=self.version,
             multibody=multibody,
             meshes=tuple(self._meshes()),
-            points=(*self._path_points(), *self._markers(), *self._mass_centres()),
+            points=(*self._path_points(multibody.values({})), *self._markers(), *self._mass_centres()),
             wraps=tuple(self._wraps()),
             not_followed=self._not_followed(),
             joint_places=self.joint_places,
+            slides=self.slides,
             data=self.data,
             root=self.root,
         )
@@ -262,9 +274,11 @@ class _Reader:
             transform = joint.child("SpatialTransform")
             if transform is None:
                 raise self._error(joint, f"joint {joint.name!r} has no SpatialTransform; save the model in OpenSim 4")
-            axes = [self._transform_axis(axis) for axis in transform.children if axis.tag == "TransformAxis"]
+            found = [axis for axis in transform.children if axis.tag == "TransformAxis"]
+            axes = [self._transform_axis(axis) for axis in found]
             if len(axes) != 6:
                 raise self._error(transform, f"joint {joint.name!r} has {len(axes)} transform axes; expected 6")
+            self.slides[joint.name] = tuple(_numbers_of(_function_of(axis)) for axis in found[3:])
             return tuple(axes[:3]), tuple(axes[3:])
         turning, sliding = _TURNS[joint.tag], _SLIDES.get(joint.tag, ())
         if len(names) != len(turning) + len(sliding):
@@ -281,8 +295,7 @@ class _Reader:
         direction = self._numbers(axis, "axis", 3)
         if not np.linalg.norm(direction) > 0.0:
             raise self._error(axis, f"axis {axis.name!r} has length 0; give it a direction")
-        holder = axis.child("function")
-        function = next(iter(holder.children if holder else axis.children[2:]), None)
+        function = _function_of(axis)
         made: CoordinateFunction = Linear(1.0 if names else 0.0) if function is None else self._function(function)
         return JointAxis(direction, names[0] if names else "", made)
 
@@ -475,13 +488,38 @@ class _Reader:
         place = frame(self._numbers(element, tag, 3)[None] * self.length_mm)[0]
         return BodyPoint(of, element.name, kind, on, place, at, frame)
 
-    def _path_points(self) -> Iterator[BodyPoint]:
+    def _path_points(self, values: Mapping[str, float]) -> Iterator[BodyPoint]:
         for holder in self.model.all("ForceSet", "ComponentSet"):
             for force in holder.objects("objects") or holder.children:
                 for points in force.all("PathPointSet"):
                     for point in points.all(*_POINTS):
                         if point.tag != "MovingPathPoint":
                             yield self._point(point, "location", of=force.name, kind=point.tag)
+                        elif self._followed(point, values):
+                            yield self._moving(point, values, of=force.name)
+
+    def _followed(self, point: Element, values: Mapping[str, float]) -> bool:
+        """Whether a moving point's functions and coordinates are all of a kind that is read."""
+        functions = [_held(point, f"{axis}_location") for axis in "xyz"]
+        return all(function is not None and _innermost(function).tag in _KNOTTED for function in functions) and all(
+            self._moved_by(point, axis) in values for axis in "xyz"
+        )
+
+    def _moved_by(self, point: Element, axis: str) -> str:
+        path = _socket(point, f"{axis}_coordinate") or point.words(f"{axis}_coordinate")
+        return path.rpartition("/")[2]
+
+    def _moving(self, point: Element, values: Mapping[str, float], *, of: str) -> BodyPoint:
+        on, frame = self._resolve(_socket(point, "parent_frame") or point.words("body"), point)
+        axes, functions = [], []
+        for direction, axis in zip(np.eye(3), "xyz", strict=True):
+            function = _held(point, f"{axis}_location")
+            assert function is not None
+            axes.append(JointAxis(direction, self._moved_by(point, axis), self._function(function)))
+            functions.append(_numbers_of(function))
+        curve = PlaceCurve(tuple(axes), self.length_mm)
+        at = frame(curve.at(values)[None])[0]
+        return BodyPoint(of, point.name, point.tag, on, at, point, frame, curve, tuple(functions))
 
     def _markers(self) -> Iterator[BodyPoint]:
         for marker in self.model.all("Marker"):
@@ -522,6 +560,33 @@ class _Reader:
 
     def _error(self, element: Element, message: str) -> InputError:
         return InputError(f"{self.source}: line {element.line}: {message}")
+
+
+def _function_of(axis: Element) -> Element | None:
+    """The function of a transform's axis, which stands in it or in a holder."""
+    holder = axis.child("function")
+    return next(iter(holder.children if holder else axis.children[2:]), None)
+
+
+def _held(point: Element, holder: str) -> Element | None:
+    """The function in a holder."""
+    found = point.child(holder)
+    return next(iter(found.children), None) if found else None
+
+
+def _innermost(function: Element) -> Element:
+    """The function that others multiply."""
+    while function.tag == "MultiplierFunction" and (holder := function.child("function")) and holder.children:
+        function = holder.children[0]
+    return function
+
+
+def _numbers_of(function: Element | None) -> Element | None:
+    """Where the numbers of a function stand that may be replaced by others: a constant, or values at knots."""
+    if function is None or _innermost(function).tag not in _KNOTTED:
+        return None
+    inner = _innermost(function)
+    return inner.child("value" if inner.tag == "Constant" else "y")
 
 
 def body_fixed_xyz(angles: Float) -> Float:

@@ -29,7 +29,7 @@ from musclefit.io.formats.tables import toml_string
 from musclefit.io.provenance import measured
 from musclefit.io.run_folder import file_names, ply_bytes, require_new_folder, write_new_folder
 from musclefit.io.segmentations import RULE, Segmentation, read_segmentation
-from musclefit.pipeline.repair import RawTissue, without_overlaps
+from musclefit.pipeline.repair import RawTissue, RepairResult, without_overlaps
 from musclefit.pipeline.repair import repair as repaired
 from musclefit.progress import Progress
 from musclefit.report.repairs import RepairReport, repair_json
@@ -180,11 +180,11 @@ def from_labels(
             made = label_anatomy(
                 read.labels, read.grid, names=read.names, frame=into, source=Path(source).name, progress=stages
             )
-            anatomy, report = _without_overlaps(made.anatomy, title=str(source), progress=stages)
+            anatomy, report, kept = _without_overlaps(made.anatomy, title=str(source), progress=stages)
             fits, off = label_fits(anatomy, made, read.grid, frame=into)
             with stages.stage("joints"):
                 joints, told = _joints(anatomy, within_mm)
-        findings = (*read.findings, *made.findings, *off, *told)
+        findings = (*read.findings, *made.findings, *kept, *off, *told)
         report = replace(
             report, findings=findings, **measured(stages.seconds, provenance={"input_sha256": dict(read.hashes)})
         )
@@ -202,16 +202,35 @@ def _require_apart(source: Path, out: Path) -> None:
         raise InputError(f"{out} is, holds or lies in the segmentation ({source}); name another folder")
 
 
-def _without_overlaps(anatomy: Anatomy, *, title: str, progress: Progress) -> tuple[Anatomy, RepairReport]:
-    """Repaired surfaces; where some still share volume, the inner kind keeps it."""
+def _without_overlaps(
+    anatomy: Anatomy, *, title: str, progress: Progress
+) -> tuple[Anatomy, RepairReport, list[Finding]]:
+    """Repaired surfaces; where some still share volume, the inner kind keeps it.
+
+    Pieces that are stray are taken out, hollows too; where one of these holds another tissue, so that the two come to
+    overlap, strays are kept.
+    """
+    plain, told = _repaired(anatomy, RepairSettings(), title=title, progress=progress), []
+    if _overlaps(plain):
+        whole = _repaired(anatomy, RepairSettings(stray_percent=0.0), title=title, progress=progress)
+        if not _overlaps(whole):
+            message = "stray pieces and hollows are kept: without them, tissues would lie in each other"
+            told.append(Finding("labels", "strays-kept", message))
+            plain = whole
+        elif all(surface.after.none for surface in plain.report.surfaces):
+            plain = without_overlaps(plain, rule=Rule.PRIORITY, progress=progress)
+    return replace(plain.anatomy, frame=anatomy.frame), plain.report, told
+
+
+def _overlaps(done: RepairResult) -> bool:
+    return done.report.overlaps is not None and bool(done.report.overlaps.pairs)
+
+
+def _repaired(anatomy: Anatomy, settings: RepairSettings, *, title: str, progress: Progress) -> RepairResult:
+    """Each surface repaired by itself, and the overlaps that are left."""
     raw = [RawTissue(tissue.name, tissue.kind, tissue.surface, tissue.name) for tissue in anatomy]
-    plain = repaired(raw, settings=RepairSettings(), rule=Rule.NONE, filler=None, title=title, progress=progress)
-    overlaps = rest_overlaps(plain.anatomy, progress=progress)
-    if not overlaps.pairs or plain.report.verdict == "failed":
-        kept = replace(plain.report, overlaps=overlaps)
-        return replace(plain.anatomy, frame=anatomy.frame), kept
-    cut = without_overlaps(plain, rule=Rule.PRIORITY, progress=progress)
-    return replace(cut.anatomy, frame=anatomy.frame), cut.report
+    done = repaired(raw, settings=settings, rule=Rule.NONE, filler=None, title=title, progress=progress)
+    return replace(done, report=replace(done.report, overlaps=rest_overlaps(done.anatomy, progress=progress)))
 
 
 def _joints(anatomy: Anatomy, within_mm: float) -> tuple[tuple[LabelledJoint, ...], list[Finding]]:

@@ -132,3 +132,21 @@ def test_the_rig_turns_to_the_side_that_is_free(side: float, tmp_path: Path) -> 
     ]
     assert shared[0] < 1.0
     assert shared[1] > 10.0
+
+
+def test_a_hollow_that_holds_another_tissue_is_no_stray(tmp_path: Path) -> None:
+    """Eight voxels of bone in a ball of muscle: both the hollow and the piece of bone are below a share of strays."""
+    at = np.stack(np.meshgrid(*[np.arange(56)] * 3, indexing="ij"), axis=-1)
+    labels = np.zeros((56, 56, 56), dtype=np.uint8)
+    labels[np.linalg.norm(at - 27.5, axis=-1) < 25] = 1
+    labels[27:29, 27:29, 27:29] = 2
+    labels[1:4, 1:12, 1:12] = 2
+    forms.write_nifti(tmp_path / "ball.nii.gz", labels)
+    (tmp_path / "names.csv").write_text("value,name\n1,muscle_ball\n2,bone_plate\n")
+    made = mf.from_labels(tmp_path / "ball.nii.gz", names=tmp_path / "names.csv", progress=None)
+    ball, plate = (made.anatomy[name].surface for name in ("muscle_ball", "bone_plate"))
+    assert overlap_volume(solid_of(ball), solid_of(plate)) == 0.0
+    assert made.passed
+    assert made.repair.resolved is None  # nothing was cut
+    assert all(abs(fit.volume_percent) < 1.0 for fit in made.fits)
+    assert [f.message for f in made.findings if f.code == "strays-kept"]

@@ -54,6 +54,10 @@ AROUND = 1.5
 """How far the bones' ends reach around the middle of what faces each other, in times its root mean square radius: of a
 condyle, only a part faces the other bone in any one pose, and the whole of it turns about the axis."""
 
+WIDER = 2.0
+"""The same where the axis that was found is fitted again: what lies farther from where the bones face tells its
+direction the better, but may be a part of no joint, so that an axis that was not there before is not looked for."""
+
 SAMPLES = 800
 """Of each bone, drawn by area, that the axis is fitted to."""
 
@@ -228,11 +232,12 @@ def fitted_joint(fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm:
         )
     if not 0.0 < within_mm < np.inf:
         raise InputError(f"within_mm is {within_mm:g}; give a distance in mm above 0")
-    ends, region, gap = _ends(fixed, moving, within_mm)
-    drawn = [_drawn(end, np.random.default_rng(number)) for number, end in enumerate(ends)]
+    found, region, gap = _where_they_face(fixed, moving, within_mm)
+    ends = _ends((fixed, moving), found, region, around=AROUND)
     if kind is JointKind.BALL:
-        return _ball(drawn, ends, region, gap)
-    return _axes(drawn, ends, region, gap, swings=kind is JointKind.HINGE)
+        return _ball(_draw(ends), ends, region, gap)
+    wider = _ends((fixed, moving), found, region, around=WIDER)
+    return _axes(_draw(ends), _draw(wider), ends, region, gap, swings=kind is JointKind.HINGE)
 
 
 # Where the bones face each other
@@ -281,7 +286,11 @@ def _triangles(own: TriMesh, low: Points, high: Points, *, spacing_mm: float) ->
     return middles[inside], vectors[inside] / areas[inside, None], areas[inside]
 
 
-def _ends(fixed: TriMesh, moving: TriMesh, within_mm: float) -> tuple[list[_End], _Region, float]:
+_Facing = tuple[Points, Points, Float]
+"""Middles, normals and areas of a bone's small triangles that face the other bone."""
+
+
+def _where_they_face(fixed: TriMesh, moving: TriMesh, within_mm: float) -> tuple[list[_Facing], _Region, float]:
     reach = (1.0 + WIDEST_GAP) * within_mm
     spacing = reach / WIDEST_GAP / SAMPLES_WITHIN
     near = _near_each_other(fixed, moving, reach, spacing)
@@ -311,16 +320,25 @@ def _ends(fixed: TriMesh, moving: TriMesh, within_mm: float) -> tuple[list[_End]
         np.average(((f[0][t] - middle) ** 2).sum(axis=1), weights=f[2][t]) for f, t in zip(near, facing, strict=True)
     ]
     size = float(np.sqrt(np.mean(off)))
-    ends = []
-    for own, found, there in zip((fixed, moving), near, facing, strict=True):
-        radius = AROUND * size
-        points, normals, areas = _triangles(own, middle - radius, middle + radius, spacing_mm=size / 10.0)
-        around = np.linalg.norm(points - middle, axis=1) < radius
-        ends.append(_End(points[around], normals[around], areas[around], np.zeros(int(around.sum()), dtype=bool)))
-        ends[-1] = _with_facing(ends[-1], found[0][there], found[1][there], found[2][there])
     lengths = [own.vertices.mean(axis=0) - middle for own in (fixed, moving)]
     far = [way / np.linalg.norm(way) for way in lengths if np.linalg.norm(way) > LONG * size]
-    return ends, _Region(middle, size, np.array(far).reshape(-1, 3)), gap
+    faces: list[_Facing] = [
+        (own[0][there], own[1][there], own[2][there]) for own, there in zip(near, facing, strict=True)
+    ]
+    return faces, _Region(middle, size, np.array(far).reshape(-1, 3)), gap
+
+
+def _ends(bones: Sequence[TriMesh], facing: Sequence[_Facing], region: _Region, *, around: float) -> list[_End]:
+    """The ends of the bones, so many times the joint's size around its middle."""
+    ends = []
+    radius = around * region.size
+    for own, found in zip(bones, facing, strict=True):
+        low, high = region.middle - radius, region.middle + radius
+        points, normals, areas = _triangles(own, low, high, spacing_mm=region.size / 10.0)
+        near = np.linalg.norm(points - region.middle, axis=1) < radius
+        end = _End(points[near], normals[near], areas[near], np.zeros(int(near.sum()), dtype=bool))
+        ends.append(_with_facing(end, *found))
+    return ends
 
 
 def _with_facing(end: _End, points: Points, normals: Points, areas: Float) -> _End:
@@ -332,6 +350,10 @@ def _with_facing(end: _End, points: Points, normals: Points, areas: Float) -> _E
     )
 
 
+def _draw(ends: Sequence[_End]) -> list[_End]:
+    return [_drawn(end, np.random.default_rng(number)) for number, end in enumerate(ends)]
+
+
 def _drawn(end: _End, rng: np.random.Generator) -> _End:
     """Samples of an end by area; what faces the other bone counts twice, as it is in the end too."""
     chosen = rng.choice(len(end.areas), size=SAMPLES, p=end.areas / end.areas.sum())
@@ -341,9 +363,20 @@ def _drawn(end: _End, rng: np.random.Generator) -> _End:
 # Axes
 
 
-def _axes(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: float, *, swings: bool) -> FittedJoint:
+def _axes(
+    drawn: Sequence[_End],
+    wider: Sequence[_End],
+    ends: Sequence[_End],
+    region: _Region,
+    gap: float,
+    *,
+    swings: bool,
+) -> FittedJoint:
     lines = _best_lines(drawn, region, swings=swings)
     first = lines[0]
+    refined = _refined(wider, first, region)
+    if region.allows(refined, swings=swings):
+        drawn, first = wider, refined
     seconds = [] if swings else _seconds(drawn, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
     second = seconds[0].line if seconds else None
     fitted, starts = _Pair(first, second), [found.start for found in seconds[:MOST_SECONDS]]

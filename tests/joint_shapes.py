@@ -55,6 +55,19 @@ def revolved(radius: float, waist: float) -> Shape:
     return shape
 
 
+def condylar(radius: float, front: float) -> Shape:
+    """A trochlea about x whose front, from a quarter of a radian on, turns about another axis with another radius."""
+    back = revolved(radius, 2.5)
+
+    def shape(along: np.ndarray, turn: np.ndarray, offset: float) -> np.ndarray:
+        more = np.where(turn < -0.25, front - radius, 0.0)
+        y, z = (more * (of(turn) - of(-0.25)) for of in (np.sin, lambda angle: -np.cos(angle)))
+        places: np.ndarray = back(along, turn, offset) + np.stack([np.zeros_like(y), y, z])
+        return places
+
+    return shape
+
+
 def toroid(large: float, small: float) -> Shape:
     """Part of a torus: about x at the origin, and about y at a distance of large - small (negative: a saddle)."""
 
@@ -94,11 +107,21 @@ def together(*parts: TriMesh) -> TriMesh:
 SHAPES: dict[str, tuple[JointKind, Shape, tuple[float, float], tuple[float, float], np.ndarray, np.ndarray]] = {
     "roller": (JointKind.HINGE, revolved(10, 0), (-10, 10), (-10, 10), np.zeros(3), np.eye(3)[:1]),
     "trochlea": (JointKind.HINGE, revolved(11, 2.5), (-10, 10), (-10, 10), np.zeros(3), np.eye(3)[:1]),
+    "condyles": (JointKind.HINGE, condylar(11, 25), (-10, 10), (-10, 10), np.zeros(3), np.eye(3)[:1]),
     "condyle": (JointKind.UNIVERSAL, toroid(14, 8), (-0.9, 0.9), (-0.7, 0.7), np.array([0, 0, -3.0]), np.eye(3)[:2]),
     "saddle": (JointKind.UNIVERSAL, toroid(10, -9), (-0.8, 0.8), (-0.7, 0.7), np.array([0, 0, -9.5]), np.eye(3)[:2]),
     "ball": (JointKind.BALL, sphere(24), (-1.3, 1.3), (-1.1, 1.1), np.zeros(3), np.zeros((0, 3))),
 }
 """Kind, surface, its reach over the first parameter on the convex and on the hollow bone, centre and axes."""
+
+TURNS = {"roller": (-2.0, 2.0), "trochlea": (-2.0, 2.0), "condyles": (-1.5, 2.2)}
+"""Reach of the convex bone over the second parameter; of the others +-1.2."""
+
+BEDS = {"roller": 1.2, "trochlea": 1.2, "condyles": 0.6}
+"""The same of the hollow bone, to either side; of the others 0.9."""
+
+SET_OFF_MM = {"condyles": -12.0}
+"""Where the shaft of the convex bone is along y; of the others at 0."""
 
 
 def known_joint(
@@ -115,12 +138,13 @@ def known_joint(
     """A joint between two long bones; each is cut into so many parts each way, and lies anywhere."""
     kind, shape, reach, hollow, centre, axes = SHAPES[name]
     rng = np.random.default_rng(seed)
-    turn = 2.0 if name in ("roller", "trochlea") else 1.2
-    bed = 1.2 if name in ("roller", "trochlea") else 0.9
-    convex = patch(shape, (*reach, cuts[0]), (-turn, turn, cuts[0]), 0.0, inwards=False)
+    bed = BEDS.get(name, 0.9)
+    convex = patch(shape, (*reach, cuts[0]), (*TURNS.get(name, (-1.2, 1.2)), cuts[0]), 0.0, inwards=False)
     cup = patch(shape, (*hollow, cuts[1]), (-bed, bed, cuts[1]), gap_mm, inwards=True)
     moving = together(cup, shaft(150, 9, start=30, sign=-1.0, cuts=cuts[1]))
-    fixed = together(convex, shaft(150, 9, start=14, sign=1.0, cuts=cuts[0]))
+    rest = shaft(150, 9, start=14, sign=1.0, cuts=cuts[0])
+    rest = TriMesh(rest.vertices + np.array([0.0, SET_OFF_MM.get(name, 0.0), 0.0]), rest.faces)
+    fixed = together(convex, rest)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0] if moved else np.eye(3)
     rotation *= np.sign(np.linalg.det(rotation)) * (-1.0 if mirrored else 1.0)
     shift = rng.normal(size=3) * 200.0 if moved else np.zeros(3)

@@ -10,6 +10,9 @@ meet in the half-plane that all places are turned into about the first, at right
 through the middle of what faces. Bones are none of these: the sines of the angles that are left over count by Geman and
 McClure's loss, so that places that fit no axis weigh no more the less they fit.
 
+Of a hinge whose head is set off from its shaft to one side, only what turns past the joint as it bends to that side is
+fitted at last (`hinge_heads`).
+
 References: Pottmann and Randrup, Rotational and helical surface approximation for reverse engineering, Computing 60
 (1998); Gelfand and Guibas, Shape segmentation using local slippage analysis, SGP 2004.
 """
@@ -17,7 +20,7 @@ References: Pottmann and Randrup, Rotational and helical surface approximation f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -29,6 +32,7 @@ from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.quantiles import weighted_quantile
 from musclefit.geometry.queries.distances import nearest_places
 from musclefit.geometry.surfaces.samples import surface_samples
+from musclefit.rig.hinge_heads import SHAFT, outwardness, overhanging_side, turned_past
 from musclefit.rig.joint_kinds import JointKind
 
 WITHIN_MM = 5.0
@@ -57,6 +61,16 @@ condyle, only a part faces the other bone in any one pose, and the whole of it t
 WIDER = 2.0
 """The same where the axis that was found is fitted again: what lies farther from where the bones face tells its
 direction the better, but may be a part of no joint, so that an axis that was not there before is not looked for."""
+
+FAR = 2.5
+"""The same of what turns past the joint as a hinge bends."""
+
+OUTWARD = 0.5
+"""A bone is the head of a hinge whose surface points away from the axis: least mean cosine."""
+
+ROUNDS = 8
+"""Times that what turns past the joint is chosen about the axis and the axis fitted to it; in a few it stays as it
+is."""
 
 SAMPLES = 800
 """Of each bone, drawn by area, that the axis is fitted to."""
@@ -90,7 +104,11 @@ DIRECTIONS = 60
 """Of axes that are tried, over half of the sphere."""
 
 STARTS = 10
-"""The best of what is tried, which are refined."""
+"""The best of what is tried, which are refined: each with another direction, as places next to each other lead to one
+axis."""
+
+MOST_STARTS = 25
+"""So many where none of those leads to an axis that may be."""
 
 NEARLY = 1.1
 """An axis whose loss is up to this many times the best one's fits nearly as well."""
@@ -151,10 +169,11 @@ class FittedJoint:
         Of the fixed bone and of the moving one.
     uncertain_deg, uncertain_mm : float
         Of the first axis' direction, and of the place of a hinge's axis or another joint's centre: root of the sum of
-        squares of the standard deviation when the surfaces' patches are drawn anew, and of half of how far apart the
-        joints near this one are that each bone alone would give.
+        squares of the standard deviation when the surfaces' patches are drawn anew, of half of how far apart the
+        joints near this one are that each bone alone would give, and of how far the axis of what turns past a hinge is
+        from that of all that is around it.
     redrawn_deg, redrawn_mm : float
-        The first of the two alone.
+        The first of them alone.
     other_deg : float
         Angle of the next best axis with another direction where it is nearly as good, else 0.
     """
@@ -180,6 +199,9 @@ class _End:
     normals: Points
     areas: Float
     facing: Bool
+
+    def part(self, there: Bool) -> _End:
+        return _End(self.points[there], self.normals[there], self.areas[there], self.facing[there])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -236,8 +258,7 @@ def fitted_joint(fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm:
     ends = _ends((fixed, moving), found, region, around=AROUND)
     if kind is JointKind.BALL:
         return _ball(_draw(ends), ends, region, gap)
-    wider = _ends((fixed, moving), found, region, around=WIDER)
-    return _axes(_draw(ends), _draw(wider), ends, region, gap, swings=kind is JointKind.HINGE)
+    return _axes((fixed, moving), found, ends, region, gap, swings=kind is JointKind.HINGE)
 
 
 # Where the bones face each other
@@ -364,19 +385,26 @@ def _drawn(end: _End, rng: np.random.Generator) -> _End:
 
 
 def _axes(
-    drawn: Sequence[_End],
-    wider: Sequence[_End],
+    bones: Sequence[TriMesh],
+    facing: Sequence[_Facing],
     ends: Sequence[_End],
     region: _Region,
     gap: float,
     *,
     swings: bool,
 ) -> FittedJoint:
+    drawn = _draw(ends)
     lines = _best_lines(drawn, region, swings=swings)
     first = lines[0]
+    wider = _ends(bones, facing, region, around=WIDER)
     refined = _refined(wider, first, region)
     if region.allows(refined, swings=swings):
-        drawn, first = wider, refined
+        drawn, first = _draw(wider), refined
+    chosen_deg, chosen_mm = 0.0, 0.0
+    turning = _turning(bones, facing, first, region) if swings else None
+    if turning is not None:
+        chosen_deg, chosen_mm = _Pair(first, None).off(_Pair(turning[1], None), region)
+        drawn, first = turning
     seconds = [] if swings else _seconds(drawn, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
     second = seconds[0].line if seconds else None
     fitted, starts = _Pair(first, second), [found.start for found in seconds[:MOST_SECONDS]]
@@ -408,12 +436,50 @@ def _axes(
         apart,
         gap,
         sides,
-        float(np.hypot(redrawn_deg, bones_deg)),
-        float(np.hypot(redrawn_mm, bones_mm)),
+        float(np.sqrt(redrawn_deg**2 + bones_deg**2 + chosen_deg**2)),
+        float(np.sqrt(redrawn_mm**2 + bones_mm**2 + chosen_mm**2)),
         redrawn_deg,
         redrawn_mm,
         max((_angle(line.along, first.along) for line in others), default=0.0),
     )
+
+
+def _turning(
+    bones: Sequence[TriMesh], facing: Sequence[_Facing], first: _Line, region: _Region
+) -> tuple[list[_End], _Line] | None:
+    """Samples of what turns past a hinge, and the axis of it; None where no head is set off from a shaft."""
+    outward = [outwardness(*found, at=first.at, along=first.along) for found in facing]
+    head = int(np.argmax(outward))
+    if outward[head] < OUTWARD:
+        return None
+    reach = SHAFT[1] * region.size
+    points, _, areas = _triangles(
+        bones[head], region.middle - reach, region.middle + reach, spacing_mm=region.size / 3.0
+    )
+    side = overhanging_side(points, areas, middle=region.middle, along=first.along, size=region.size)
+    if side is None:
+        return None
+    ends = _ends(bones, facing, region, around=FAR)
+    line, parts = first, list[_End]()
+    for _ in range(ROUNDS):
+        parts.clear()
+        for number, (end, (places, _, areas)) in enumerate(zip(ends, facing, strict=True)):
+            there = turned_past(
+                end.points,
+                places,
+                areas,
+                at=line.at,
+                along=line.along,
+                middle=region.middle,
+                side=side if number == head else None,
+            )
+            parts.append(end.part(there & ~end.facing))  # what faces is in the ends twice
+        if min(len(part.areas) for part in parts) < FEWEST:
+            return None
+        line = _refined(parts, line, region)
+        if not region.allows(line, swings=True):
+            return None
+    return _draw(parts), line
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -540,13 +606,17 @@ def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool) -> list[
     tried = []
     for along in directions:
         u, v = _across(along)
+        places = []
         for x, y in ((0, 0), (0.7, 0), (-0.7, 0), (0, 0.7), (0, -0.7), (1.3, 0), (-1.3, 0), (0, 1.3), (0, -1.3)):
             at = region.middle + region.size * (x * u + y * v)
             loss = float(np.mean([(_loss_roots(end, at, along, blur) ** 2).sum() for end in ends]))
-            tried.append(_Line(at, along, loss))
+            places.append(_Line(at, along, loss))
+        tried.append(min(places, key=lambda line: line.loss))
     tried.sort(key=lambda line: line.loss)
     found: list[_Line] = []
-    for line in tried[:STARTS]:
+    for number, line in enumerate(tried[:MOST_STARTS]):
+        if number >= STARTS and found:
+            break
         fine = _refined(ends, line, region)
         if region.allows(fine, swings=swings):
             found.append(fine)
@@ -650,7 +720,7 @@ def _redrawn(ends: Sequence[_End], region: _Region) -> Iterator[list[_End]]:
         for end, patch in zip(ends, patches, strict=True):
             count = int(patch.max()) + 1
             times = np.bincount(rng.integers(0, count, count), minlength=count)[patch]
-            sample.append(_End(end.points, end.normals, end.areas * times, end.facing))
+            sample.append(replace(end, areas=end.areas * times))
         yield sample
 
 

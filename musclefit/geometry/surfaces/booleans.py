@@ -49,6 +49,30 @@ def united(parts: Sequence[TriMesh], *, smooth_within_mm: float) -> TriMesh:
     return as_mesh(manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).simplify(smooth_within_mm))
 
 
+def with_balls(mesh: TriMesh, centres: Points, *, radius_mm: float) -> TriMesh:
+    """The union of a closed, outward oriented surface and balls, for which icosahedra inside of them stand.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    centres : (n, 3) float64, mm
+    radius_mm : float
+
+    Returns
+    -------
+    TriMesh
+        Away from the balls its triangles are those of the surface as given.
+
+    Raises
+    ------
+    MeshError
+        The surface is not a closed oriented 2-manifold.
+    """
+    inside = _CORNERS / np.linalg.norm(_CORNERS[0])
+    balls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(at + radius_mm * inside)) for at in centres]
+    return as_mesh(manifold3d.Manifold.batch_boolean([as_manifold(mesh), *balls], manifold3d.OpType.Add))
+
+
 def difference(whole: TriMesh, tools: Sequence[TriMesh], *, smooth_within_mm: float) -> TriMesh:
     """What is left of a closed surface's inside without that of the tools; see `united`."""
     solids = [as_manifold(whole), *(as_manifold(tool) for tool in tools)]

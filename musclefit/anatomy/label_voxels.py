@@ -74,17 +74,33 @@ class LabelBlock:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LabelVoxels:
-    """Labels numbered from 0 (background) on, the logarithm of each one's weight, and tissues' numbers (skin: 0).
+class LabelLevel:
+    """What is above 0 within a label, by voxels from ``start`` on; drawn back it gives room, the skin ``outwards``."""
 
-    ``raised`` has, for the labels whose level is not the same everywhere, the voxels where it is raised, and by how
-    much: (m, 4).
-    """
+    values: NDArray[np.float32]
+    start: Int
+    outwards: bool = False
+
+    def surface(self) -> Surface | None:
+        """Where it is 0; None where it is nowhere above."""
+        if not (self.values > 0.0).any():
+            return None
+        vertices, faces, _, _ = marching_cubes(self.values, 0.0)
+        return vertices.astype(np.float64) + self.start, faces[:, ::-1].astype(np.int64)
+
+    def draw_back(self, cubes: Int, by: float) -> None:
+        """Change the values, in place, at the corners of cubes, (m, 3) their first voxels."""
+        corners = np.unique((cubes[:, None] + _CORNERS).reshape(-1, 3), axis=0) - self.start
+        self.values[tuple(corners.T)] += np.float32(by if self.outwards else -by)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LabelVoxels:
+    """Labels numbered from 0 (background) on, the logarithm of each one's weight, and tissues' numbers (skin: 0)."""
 
     labels: NDArray[np.int32]
     log_weights: Float
     numbers: Mapping[str, int]
-    raised: dict[int, Float] = field(default_factory=dict)
     boxes: list[Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -111,6 +127,10 @@ class LabelVoxels:
 
     def surface(self, number: int) -> Surface | None:
         """That of a label, or of all together (0); None where it leads nowhere."""
+        return self.level(number).surface()
+
+    def level(self, number: int) -> LabelLevel:
+        """F of a label, less the level; of all together (0) around all surfaces, and without cavities."""
         if not number:
             return self._whole(self.block(0, whole=True))
         block = self.block(number)
@@ -121,16 +141,9 @@ class LabelVoxels:
                 continue
             part = tuple(slice(max(s.start - PADDING, 0), s.stop + PADDING) for s in box)
             np.maximum(best[part], self._smoothed(block.labels[part] == value, value), out=best[part])
-        return self._level_set(own - best, block, number)
+        return LabelLevel(own - best - LEVEL, block.start)
 
-    def raise_level(self, number: int, cubes: Int, by: float) -> None:
-        """Draw a label's surface in, or that of all labels out, at the corners of cubes, (m, 3) their first voxels."""
-        corners = np.unique((cubes[:, None] + _CORNERS).reshape(-1, 3), axis=0)
-        more = np.column_stack([corners, np.full(len(corners), by)])
-        self.raised[number] = np.concatenate([self.raised.get(number, np.empty((0, 4))), more])
-
-    def _whole(self, block: LabelBlock) -> Surface | None:
-        """Around the surfaces of all labels, and without cavities."""
+    def _whole(self, block: LabelBlock) -> LabelLevel:
         best = _smooth(block.inside)
         for number, box in enumerate(self.boxes, start=1):
             if box is None or self.log_weights[number] <= 0.0:
@@ -139,18 +152,7 @@ class LabelVoxels:
             corner = own.start - block.start
             part = tuple(slice(int(a), int(a) + n) for a, n in zip(corner, own.inside.shape, strict=True))
             best[part] = np.maximum(best[part], self._smoothed(own.inside, number))
-        return self._level_set(best - _smooth(~block.inside), block, 0)
-
-    def _level_set(self, values: NDArray[np.float32], block: LabelBlock, number: int) -> Surface | None:
-        """Of a label's F where it is the level, of all labels' where it is the level below 0."""
-        sign = 1.0 if number else -1.0
-        if number in self.raised:
-            at = self.raised[number][:, :3].astype(np.int64) - block.start
-            np.add.at(values, tuple(at.T), -sign * self.raised[number][:, 3].astype(np.float32))
-        if not (values > sign * LEVEL).any():
-            return None
-        vertices, faces, _, _ = marching_cubes(values, sign * LEVEL)
-        return vertices.astype(np.float64) + block.start, faces[:, ::-1].astype(np.int64)
+        return LabelLevel(best - _smooth(~block.inside) + LEVEL, block.start, outwards=True)
 
     def _smoothed(self, mask: NDArray[np.bool_], number: int) -> NDArray[np.float32]:
         return _smooth(mask) * np.float32(np.exp(self.log_weights[number]))
@@ -233,6 +235,7 @@ class DrawnApart:
 def draw_apart(maps: LabelVoxels, numbers: Iterable[int], tick: Any) -> DrawnApart:
     """Raise the larger label's level where surfaces of two cross, until none do."""
     surfaces = {number: made for number in numbers if (made := maps.surface(number)) is not None}
+    levels: dict[int, LabelLevel] = {}
     cubes: dict[int, list[Int]] = {}
     first: dict[int, float] = {}
     for turn in range(RAISES + 1):
@@ -240,10 +243,11 @@ def draw_apart(maps: LabelVoxels, numbers: Iterable[int], tick: Any) -> DrawnApa
         if not crossing or turn == RAISES:
             break
         for number, found in crossing.items():
-            first.setdefault(number, _enclosed(surfaces[number]))
+            if number not in levels:
+                levels[number], first[number] = maps.level(number), _enclosed(surfaces[number])
             cubes.setdefault(number, []).append(found)
-            maps.raise_level(number, found, FIRST_RAISE * RAISE_GROWTH**turn)
-            made = maps.surface(number)
+            levels[number].draw_back(found, FIRST_RAISE * RAISE_GROWTH**turn)
+            made = levels[number].surface()
             if made is None:
                 del surfaces[number]
             else:

@@ -2,7 +2,9 @@
 
 Every shape at several amounts of noise, finenesses, sizes, mirrored and not, anywhere in space: how far the fits are
 from what is known, and how often that is within two of the uncertainties that they tell themselves. With the real
-anatomy (MUSCLEFIT_DATA) also its joints, whose axes were chosen on the same bones by circles or by hand, and OpenSim's.
+anatomy (MUSCLEFIT_DATA) also its joints, whose axes were chosen on the same bones by circles or by hand, OpenSim's, and
+hips whose centre is that of a sphere through the femur's head; each of them again mirrored, at half the size, of a
+quarter of the triangles, and rough: how many of these are believed, and how far off they are.
 """
 
 from __future__ import annotations
@@ -10,16 +12,19 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from joint_shapes import SHAPES, KnownJoint, known_joint, missed
+import pyvista
+from joint_shapes import SHAPES, KnownJoint, Missed, known_joint, missed, noise
 
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import nearest_places
 from musclefit.io.anatomy import read_surface
 from musclefit.io.opensim_geometry import find_geometry, placed_meshes
-from musclefit.rig.articulation import fitted_joint
+from musclefit.rig.articulation import WITHIN_MM, FittedJoint, fitted_joint
 from musclefit.rig.joint_kinds import JointKind
 from musclefit.workflows.fit_joint import JointFit
 from musclefit.workflows.import_osim import read_osim
@@ -84,6 +89,12 @@ def real(data: Path) -> Iterator[KnownJoint]:
         axis = np.array(table["axis"])[None]
         centre = np.array(table["centre_mm"])
         yield KnownJoint(name, JointKind.HINGE, bone(folder, fixed), bone(folder, moving), centre, axis)
+    for side in ("left", "right"):
+        hip, femur = (
+            read_surface(next((data / "body" / "bones").glob(f"{side}_{name}_FMA*.ply"))).mesh()
+            for name in ("hip_bone", "femur")
+        )
+        yield KnownJoint(f"{side} hip", JointKind.BALL, hip, femur, head_centre(femur, hip), np.zeros((0, 3)))
     model = read_osim(data / "opensim" / "rajagopal2016" / "Rajagopal2016.osim")
     meshes = {mesh.name: mesh.mesh for mesh in placed_meshes(model, find_geometry(model, [])[0])}
     places = model.multibody.places({})
@@ -92,22 +103,90 @@ def real(data: Path) -> Iterator[KnownJoint]:
             meshes[f"{body}__{side}_{name}"]
             for body, name in (("pelvis", "pelvis"), (f"femur_{side}", "femur"), (f"tibia_{side}", "tibia"))
         )
-        hip, knee = places[f"femur_{side}"], places[f"tibia_{side}"]
+        at_hip, at_knee = places[f"femur_{side}"], places[f"tibia_{side}"]
         name = f"Rajagopal, {called}"
-        yield KnownJoint(f"{name} hip", JointKind.BALL, pelvis, femur, hip.translation, np.zeros((0, 3)))
-        yield KnownJoint(f"{name} knee", JointKind.HINGE, femur, tibia, knee.translation, knee.rotation[:, 2][None])
+        yield KnownJoint(f"{name} hip", JointKind.BALL, pelvis, femur, at_hip.translation, np.zeros((0, 3)))
+        yield KnownJoint(
+            f"{name} knee", JointKind.HINGE, femur, tibia, at_knee.translation, at_knee.rotation[:, 2][None]
+        )
+
+
+def head_centre(femur: TriMesh, hip: TriMesh) -> np.ndarray:
+    """The centre of the sphere through the femur's vertices near the hip bone; those off it are left out, twice."""
+    near = femur.vertices[nearest_places(femur.vertices, hip).distances < 6.0]
+    for _ in range(3):
+        found = np.linalg.lstsq(np.column_stack([2.0 * near, np.ones(len(near))]), (near**2).sum(axis=1))[0]
+        radius = np.sqrt(found[3] + found[:3] @ found[:3])
+        off = np.abs(np.linalg.norm(near - found[:3], axis=1) - radius)
+        near = near[off < 2.0 * np.median(off)]
+    centre: np.ndarray = found[:3]
+    return centre
+
+
+Change = Callable[[TriMesh], TriMesh]
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+
+
+def coarser(mesh: TriMesh) -> TriMesh:
+    fewer = pyvista.make_tri_mesh(mesh.vertices, mesh.faces).decimate(0.75)
+    return TriMesh(np.asarray(fewer.points, dtype=float), fewer.faces.reshape(-1, 4)[:, 1:].astype(np.int64))
+
+
+def rough(mesh: TriMesh) -> TriMesh:
+    return TriMesh(mesh.vertices + noise(mesh.vertices, 0.2, np.random.default_rng(0)), mesh.faces)
+
+
+VARIANTS: dict[str, tuple[Change, np.ndarray]] = {
+    "mirrored": (lambda mesh: TriMesh(mesh.vertices @ MIRROR, mesh.faces[:, ::-1]), MIRROR),
+    "half as large": (lambda mesh: TriMesh(0.5 * mesh.vertices, mesh.faces), 0.5 * np.eye(3)),
+    "of a quarter of the triangles": (coarser, np.eye(3)),
+    "rough by 0.2 mm": (rough, np.eye(3)),
+}
+"""How the same bones are changed, and the matrix that takes the joint along."""
+
+
+def believed_variants(known: KnownJoint) -> tuple[int, Missed]:
+    """Of the fits to the same bones changed, how many are believable, and how far those are off at most."""
+    off = [Missed(0.0, 0.0)]
+    for what, (change, matrix) in VARIANTS.items():
+        bones = change(known.fixed), change(known.moving)
+        found = fitted_joint(*bones, kind=known.kind, within_mm=WITHIN_MM * (0.5 if what == "half as large" else 1.0))
+        if believable(found):
+            there = KnownJoint("", known.kind, *bones, matrix @ known.centre, unit(known.axes @ matrix.T))
+            off.append(missed(found, there))
+    return len(off) - 1, Missed(max(one.degrees for one in off), max(one.mm for one in off))
+
+
+def believable(found: FittedJoint) -> bool:
+    return JointFit("", "", found).believable
+
+
+def unit(axes: np.ndarray) -> np.ndarray:
+    lengths: np.ndarray = np.linalg.norm(axes, axis=1, keepdims=True)
+    made: np.ndarray = axes / lengths
+    return made
 
 
 def of_real_bones(data: Path) -> None:
-    print("| joint | angular error | position error | stated uncertainty | believable |\n|---|---|---|---|---|")
+    print(
+        "| joint | off | stated uncertainty | believable | of 4 variants believable | and off at most |\n"
+        "|---|---|---|---|---|---|"
+    )
     for known in real(data):
-        axes = known.axes / np.linalg.norm(known.axes, axis=1, keepdims=True)
+        known = replace(known, axes=unit(known.axes))
         found = fitted_joint(known.fixed, known.moving, kind=known.kind)
-        off = missed(found, KnownJoint(known.name, known.kind, known.fixed, known.moving, known.centre, axes))
-        sure = "yes" if JointFit("", "", found).believable else "no"
-        turned = f"{off.degrees:.1f} deg" if len(axes) else "-"
-        told = (f"{found.uncertain_deg:.1f} deg, " if len(axes) else "") + f"{found.uncertain_mm:.1f} mm"
-        print(f"| {known.name} | {turned} | {off.mm:.1f} mm | {told} | {sure} |", flush=True)
+        told = Missed(found.uncertain_deg, found.uncertain_mm)
+        believed, worst = believed_variants(known)
+        words = [in_words(off, known) for off in (missed(found, known), told, worst)]
+        sure = "yes" if believable(found) else "no"
+        print(
+            f"| {known.name} | {words[0]} | {words[1]} | {sure} | {believed} | {words[2] if believed else '-'} |",
+            flush=True,
+        )
+
+
+def in_words(off: Missed, known: KnownJoint) -> str:
+    return (f"{off.degrees:.1f} deg, " if len(known.axes) else "") + f"{off.mm:.1f} mm"
 
 
 if __name__ == "__main__":

@@ -150,7 +150,7 @@ def known_joint(
     shift = rng.normal(size=3) * 200.0 if moved else np.zeros(3)
 
     def placed(mesh: TriMesh) -> TriMesh:
-        rough = mesh.vertices + _noise(mesh.vertices, noise_mm, rng)
+        rough = mesh.vertices + noise(mesh.vertices, noise_mm, rng)
         return TriMesh(scale * rough @ rotation.T + shift, mesh.faces[:, ::-1] if mirrored else mesh.faces)
 
     return KnownJoint(name, kind, placed(fixed), placed(moving), scale * rotation @ centre + shift, axes @ rotation.T)
@@ -175,7 +175,7 @@ def missed(found: FittedJoint, known: KnownJoint) -> Missed:
     return Missed(degrees, float(np.linalg.norm(off)))
 
 
-def _noise(vertices: np.ndarray, rms_mm: float, rng: np.random.Generator) -> np.ndarray:
+def noise(vertices: np.ndarray, rms_mm: float, rng: np.random.Generator) -> np.ndarray:
     """Waves of 6 mm and more in all directions, as of a segmentation that is off here and there."""
     total = np.zeros_like(vertices)
     count = 24
@@ -183,4 +183,5 @@ def _noise(vertices: np.ndarray, rms_mm: float, rng: np.random.Generator) -> np.
         way = rng.normal(size=3)
         way *= 2.0 * np.pi / (rng.uniform(6.0, 20.0) * np.linalg.norm(way))
         total += rng.normal(size=3) * np.sin(vertices @ way + rng.uniform(0, 2 * np.pi))[:, None]
-    return rms_mm * total / np.sqrt(0.5 * count)
+    waves: np.ndarray = rms_mm * total / np.sqrt(0.5 * count)
+    return waves

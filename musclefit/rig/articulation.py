@@ -20,7 +20,7 @@ References: Pottmann and Randrup, Rotational and helical surface approximation f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -72,8 +72,9 @@ ROUNDS = 8
 """Times that what turns past the joint is chosen about the axis and the axis fitted to it; in a few it stays as it
 is."""
 
-SAMPLES = 800
-"""Of each bone, drawn by area, that the axis is fitted to."""
+CELLS = 10.0
+"""Of the joint's size over a cell's: what lies in one and looks the same way counts as one place, so that fits take as
+long however finely a bone is cut."""
 
 SLOPE = 0.2
 """Scale of the loss: the sine of the angle between a normal and the plane that it should lie in."""
@@ -109,6 +110,9 @@ axis."""
 
 MOST_STARTS = 25
 """So many where none of those leads to an axis that may be."""
+
+CLOSE = 1e-5
+"""A fit ends where a step changes the axis (in radians and joint's sizes) or the loss relatively by less than this."""
 
 NEARLY = 1.1
 """An axis whose loss is up to this many times the best one's fits nearly as well."""
@@ -193,12 +197,21 @@ class FittedJoint:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _End:
-    """Samples of a bone's end: places, outward normals, area each, and whether it faces the other bone."""
+    """Samples of a bone's end: places, outward normals, area each, and whether it faces the other bone.
+
+    ``moments`` are places x normals, and ``shares`` the roots of the areas' shares.
+    """
 
     points: Points
     normals: Points
     areas: Float
     facing: Bool
+    moments: Points = field(init=False)
+    shares: Float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "moments", np.cross(self.points, self.normals))
+        object.__setattr__(self, "shares", np.sqrt(self.areas / max(self.areas.sum(), 1e-300)))
 
     def part(self, there: Bool) -> _End:
         return _End(self.points[there], self.normals[there], self.areas[there], self.facing[there])
@@ -257,7 +270,7 @@ def fitted_joint(fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm:
     found, region, gap = _where_they_face(fixed, moving, within_mm)
     ends = _ends((fixed, moving), found, region, around=AROUND)
     if kind is JointKind.BALL:
-        return _ball(_draw(ends), ends, region, gap)
+        return _ball(ends, region, gap)
     return _axes((fixed, moving), found, ends, region, gap, swings=kind is JointKind.HINGE)
 
 
@@ -355,30 +368,27 @@ def _ends(bones: Sequence[TriMesh], facing: Sequence[_Facing], region: _Region, 
     radius = around * region.size
     for own, found in zip(bones, facing, strict=True):
         low, high = region.middle - radius, region.middle + radius
-        points, normals, areas = _triangles(own, low, high, spacing_mm=region.size / 10.0)
-        near = np.linalg.norm(points - region.middle, axis=1) < radius
-        end = _End(points[near], normals[near], areas[near], np.zeros(int(near.sum()), dtype=bool))
-        ends.append(_with_facing(end, *found))
+        triangles = _triangles(own, low, high, spacing_mm=region.size / CELLS)
+        near = np.linalg.norm(triangles[0] - region.middle, axis=1) < radius
+        there, facing_up, sizes = (of[near] for of in triangles)
+        all_of_it = _in_cells(there, facing_up, sizes, region)
+        facing_it = _in_cells(*found, region)
+        points, normals, areas = (np.concatenate(both) for both in zip(all_of_it, facing_it, strict=True))
+        ends.append(_End(points, normals, areas, np.arange(len(areas)) >= len(all_of_it[2])))
     return ends
 
 
-def _with_facing(end: _End, points: Points, normals: Points, areas: Float) -> _End:
-    return _End(
-        np.concatenate([end.points, points]),
-        np.concatenate([end.normals, normals]),
-        np.concatenate([end.areas, areas]),
-        np.concatenate([end.facing, np.ones(len(points), dtype=bool)]),
+def _in_cells(points: Points, normals: Points, areas: Float, region: _Region) -> tuple[Points, Points, Float]:
+    """Triangles that lie in one cell and look into one octant as one: mean place, mean normal, all of the area."""
+    cells = np.floor((points - region.middle) * (CELLS / region.size)).astype(np.int64)
+    _, of = np.unique(np.column_stack([cells, normals > 0.0]), axis=0, return_inverse=True)
+    of = of.ravel()
+    total: Float = np.bincount(of, areas).astype(np.float64)
+    place, normal = (
+        np.column_stack([np.bincount(of, areas * values[:, k]) for k in range(3)]) for values in (points, normals)
     )
-
-
-def _draw(ends: Sequence[_End]) -> list[_End]:
-    return [_drawn(end, np.random.default_rng(number)) for number, end in enumerate(ends)]
-
-
-def _drawn(end: _End, rng: np.random.Generator) -> _End:
-    """Samples of an end by area; what faces the other bone counts twice, as it is in the end too."""
-    chosen = rng.choice(len(end.areas), size=SAMPLES, p=end.areas / end.areas.sum())
-    return _End(end.points[chosen], end.normals[chosen], np.ones(SAMPLES), end.facing[chosen])
+    unit: Points = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    return place / total[:, None], unit, total
 
 
 # Axes
@@ -393,19 +403,19 @@ def _axes(
     *,
     swings: bool,
 ) -> FittedJoint:
-    drawn = _draw(ends)
-    lines = _best_lines(drawn, region, swings=swings)
-    first = lines[0]
+    lines = _best_lines(ends, region, swings=swings)
+    alone = [_best_lines([end], region, swings=swings)[0] for end in ends]
+    fitted_to, first = ends, lines[0]
     wider = _ends(bones, facing, region, around=WIDER)
     refined = _refined(wider, first, region)
     if region.allows(refined, swings=swings):
-        drawn, first = _draw(wider), refined
+        fitted_to, first = wider, refined
     chosen_deg, chosen_mm = 0.0, 0.0
     turning = _turning(bones, facing, first, region) if swings else None
     if turning is not None:
         chosen_deg, chosen_mm = _Pair(first, None).off(_Pair(turning[1], None), region)
-        drawn, first = turning
-    seconds = [] if swings else _seconds(drawn, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
+        fitted_to, first = turning
+    seconds = [] if swings else _seconds(fitted_to, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
     second = seconds[0].line if seconds else None
     fitted, starts = _Pair(first, second), [found.start for found in seconds[:MOST_SECONDS]]
     centre = fitted.centre(region)
@@ -413,20 +423,19 @@ def _axes(
     if second is not None:
         axes = np.array([first.along, second.along])
         apart = abs(float((second.at - first.at) @ np.cross(first.along, second.along)))
-    alone = [_best_lines([end], region, swings=swings)[0] for end in drawn]
-    others = [line for line in lines[1:] if line.loss < NEARLY * first.loss]
+    others = [line for line in lines[1:] if line.loss < NEARLY * lines[0].loss]
     if second is not None:
         others = [line for line in others if _angle(line.along, second.along) > APART_DEG]
-    draws = [_near(sample, fitted, region, starts) for sample in _redrawn(drawn, region)]
+    draws = [_near(sample, fitted, region, starts) for sample in _redrawn(fitted_to, region)]
     off = np.array([fitted.off(pair, region) for pair in draws])
     redrawn_deg, redrawn_mm = (float(v) for v in np.sqrt((off**2).mean(axis=0)))
-    one, other = (_near([end], fitted, region, starts) for end in drawn)
+    one, other = (_near([end], fitted, region, starts) for end in fitted_to)
     # Half of the difference of two estimates of one thing that err alike is the standard deviation of their mean.
     # They are sought from the joint of both, as one bone alone may have another axis that the other bone rules out.
     bones_deg, bones_mm = (0.5 * v for v in one.off(other, region, near=centre))
     sides = tuple(
-        _side(of, end, small, first, _angle(line.along, first.along), _line_distance(line, first, centre))
-        for of, end, small, line in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
+        _side(of, end, used, first, _angle(line.along, first.along), _line_distance(line, first, centre))
+        for of, end, used, line in zip(("fixed", "moving"), ends, fitted_to, alone, strict=True)
     )
     kind = JointKind.HINGE if swings else JointKind.UNIVERSAL
     return FittedJoint(
@@ -479,7 +488,7 @@ def _turning(
         line = _refined(parts, line, region)
         if not region.allows(line, swings=True):
             return None
-    return _draw(parts), line
+    return parts, line
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -538,7 +547,7 @@ def _seconds(
 
     found: list[_Second] = []
     for start in starts:
-        fit = least_squares(roots, np.array(start), method="lm", max_nfev=200)
+        fit = least_squares(roots, np.array(start), method="lm", xtol=CLOSE, ftol=CLOSE, max_nfev=200)
         x = np.clip(fit.x, -FARTHEST, FARTHEST)
         if any(np.abs(x - other.start).max() < SAME for other in found):
             continue
@@ -581,8 +590,11 @@ def _profile(end: _End, axis: _Line, blur: float) -> _Profile:
 
 def _sines(end: _End, at: Points, along: Float, blur: float) -> Float:
     """Of the angles between normals and the planes through the axis; small where the place is near the axis."""
-    way = np.cross(along, end.points - at)
-    sines: Float = np.einsum("ni,ni->n", end.normals, way) / np.sqrt((way**2).sum(axis=1) + blur**2)
+    way = end.points - at
+    height = way @ along
+    away = np.maximum(np.einsum("ni,ni->n", way, way) - height**2, 0.0)
+    moments = end.moments @ along - end.normals @ np.cross(along, at)
+    sines: Float = moments / np.sqrt(away + blur**2)
     return sines
 
 
@@ -593,7 +605,7 @@ def _loss_roots(end: _End, at: Points, along: Float, blur: float) -> Float:
 
 def _roots(end: _End, sines: Float) -> Float:
     """Of Geman and McClure's loss of the sines of angles, by area."""
-    roots: Float = np.sqrt(end.areas / end.areas.sum()) * sines / np.sqrt(sines**2 + SLOPE**2)
+    roots: Float = end.shares * sines / np.sqrt(sines**2 + SLOPE**2)
     return roots
 
 
@@ -644,7 +656,7 @@ def _refined(ends: Sequence[_End], start: _Line, region: _Region) -> _Line:
         at, along = line(x)
         return np.concatenate([_loss_roots(end, at, along, blur) for end in ends])
 
-    found = least_squares(roots, np.zeros(4), method="lm", max_nfev=200)
+    found = least_squares(roots, np.zeros(4), method="lm", xtol=CLOSE, ftol=CLOSE, max_nfev=200)
     at, along = line(found.x)
     return _Line(at, along, 2.0 * float(found.cost) / len(ends))
 
@@ -661,14 +673,14 @@ def _directions() -> Float:
 # Balls
 
 
-def _ball(drawn: Sequence[_End], ends: Sequence[_End], region: _Region, gap: float) -> FittedJoint:
-    centre = _best_centre(drawn, region)
-    alone = [_best_centre([end], region) for end in drawn]
-    draws = [_refined_centre(sample, centre, region)[0] for sample in _redrawn(drawn, region)]
+def _ball(ends: Sequence[_End], region: _Region, gap: float) -> FittedJoint:
+    centre = _best_centre(ends, region)
+    alone = [_best_centre([end], region) for end in ends]
+    draws = [_refined_centre(sample, centre, region)[0] for sample in _redrawn(ends, region)]
     off = np.linalg.norm(np.array(draws) - centre, axis=1)
     sides = tuple(
-        _side(of, end, small, centre, 0.0, float(np.linalg.norm(own - centre)))
-        for of, end, small, own in zip(("fixed", "moving"), ends, drawn, alone, strict=True)
+        _side(of, end, end, centre, 0.0, float(np.linalg.norm(own - centre)))
+        for of, end, own in zip(("fixed", "moving"), ends, alone, strict=True)
     )
     redrawn = float(np.sqrt((off**2).mean()))
     spread = float(np.hypot(redrawn, 0.5 * np.linalg.norm(alone[0] - alone[1])))
@@ -702,7 +714,7 @@ def _refined_centre(ends: Sequence[_End], start: Points, region: _Region) -> tup
     def roots(x: Float) -> Float:
         return np.concatenate([_centre_roots(end, start + region.size * x, blur) for end in ends])
 
-    found = least_squares(roots, np.zeros(3), method="lm", max_nfev=200)
+    found = least_squares(roots, np.zeros(3), method="lm", xtol=CLOSE, ftol=CLOSE, max_nfev=200)
     return start + region.size * found.x, 2.0 * float(found.cost) / len(ends)
 
 
@@ -724,16 +736,16 @@ def _redrawn(ends: Sequence[_End], region: _Region) -> Iterator[list[_End]]:
         yield sample
 
 
-def _side(of: str, end: _End, drawn: _End, joint: _Line | Points, turned: float, apart: float) -> Side:
+def _side(of: str, end: _End, used: _End, joint: _Line | Points, turned: float, apart: float) -> Side:
     facing = end.points[end.facing]
     if isinstance(joint, _Line):
         radii = np.linalg.norm(np.cross(facing - joint.at, joint.along), axis=1)
-        sines = np.abs(_sines(drawn, joint.at, joint.along, 1e-9))
+        sines = np.abs(_sines(used, joint.at, joint.along, 1e-9))
     else:
         radii = np.linalg.norm(facing - joint, axis=1)
-        sines = _centre_sines(drawn, joint, 1e-9)
+        sines = _centre_sines(used, joint, 1e-9)
     areas = end.areas[end.facing]
-    slope = float(np.degrees(np.arcsin(min(1.0, float(np.median(sines))))))
+    slope = float(np.degrees(np.arcsin(min(1.0, weighted_quantile(sines, used.areas, 0.5)))))
     return Side(of, float(areas.sum()), weighted_quantile(radii, areas, 0.5), slope, turned, apart)
 
 

@@ -3,8 +3,9 @@
     python examples/label_maps.py
     python examples/label_maps.py ../shared/data/arm/disjoint --voxel-mm 2
 
-A voxel belongs to the tissue that its middle lies in. Without a folder the built-in limb is taken. Printed for all tissues together: volumes
-against those of the voxels, vertices against the voxels' faces and the true surfaces, and what was told.
+A voxel belongs to the tissue that its middle lies in. Without a folder the built-in limb is taken. Printed for all
+tissues together: volumes against those of the voxels, vertices against the voxels' faces and the true surfaces, and
+what was told.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ MARGIN_VOXELS = 3
 
 
 def label_map(anatomy: mf.Anatomy, voxel_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of tissues from 1, in their order, on a grid around them, and its affine; the skin is under the others."""
+    """Numbers of tissues from 1 in their order on a grid around them, the skin under the others; and its affine."""
     low = anatomy.vertices().min(axis=0) - MARGIN_VOXELS * voxel_mm
     counts = np.ceil((anatomy.vertices().max(axis=0) - low) / voxel_mm).astype(int) + MARGIN_VOXELS
     labels = np.zeros(counts, dtype=np.int16)

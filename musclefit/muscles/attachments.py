@@ -26,9 +26,10 @@ from musclefit.errors import InputError
 from musclefit.geometry.arrays import Bool, Float, Int, Points
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.queries.distances import DistanceTree, SampledDistances, nearest_places
-from musclefit.geometry.surfaces.samples import surface_samples
-from musclefit.geometry.surfaces.sections import Lengthwise, position_along
+from musclefit.geometry.queries.distances import DistanceTree, SampledDistances
+from musclefit.geometry.surfaces.samples import EDGES_PER_SPACING, surface_samples
+from musclefit.geometry.surfaces.sections import Lengthwise, position_along, position_by
+from musclefit.geometry.surfaces.subdivision import with_short_edges
 
 LEAST_SHARE = 0.5
 """An attachment is at least this share of the muscle's thin sections (the lowest tenth of them) in area."""
@@ -168,6 +169,27 @@ class _Looked:
     distances: Float  # (bones, faces)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Bone:
+    """A bone with what distances from it are measured by."""
+
+    name: str
+    surface: TriMesh
+    tree: DistanceTree
+    box: Float  # (2, 3): its lowest and its highest corner
+
+    @classmethod
+    def all_of(cls, anatomy: Anatomy) -> tuple[_Bone, ...]:
+        return tuple(
+            cls(bone.name, bone.surface, DistanceTree(bone.surface), _box(bone.surface))
+            for bone in anatomy.of_kind(TissueKind.BONE)
+        )
+
+    def gap_mm(self, box: Float) -> float:
+        """How far its box is from another, mm; 0 where they overlap."""
+        return float(np.linalg.norm(np.maximum(np.maximum(box[0] - self.box[1], self.box[0] - box[1]), 0.0)))
+
+
 def usual_distance_mm(anatomy: Anatomy, *, lengthwise: Mapping[str, Lengthwise] = _UNMEASURED) -> float:
     """How close is close: the median over muscles of their clearance from bone, and a tenth of how thick they are.
 
@@ -183,16 +205,15 @@ def usual_distance_mm(anatomy: Anatomy, *, lengthwise: Mapping[str, Lengthwise] 
     InputError
         No muscle or no bone.
     """
-    muscles, bones = anatomy.of_kind(TissueKind.MUSCLE), anatomy.of_kind(TissueKind.BONE)
+    muscles, bones = anatomy.of_kind(TissueKind.MUSCLE), _Bone.all_of(anatomy)
     if not muscles or not bones:
         raise InputError(
             f"attachments need muscles and bones; found {len(muscles)} muscles and {len(bones)} bones: name the kinds "
             "in [anatomy.kinds]"
         )
-    trees = [DistanceTree(bone.surface) for bone in bones]
     thickness = float(np.median([np.sqrt(np.median(_section_areas(muscle, lengthwise))) for muscle in muscles]))
     spacing = CLEARANCE_SECTIONS * thickness
-    clearances = [_clearance(muscle.surface, bones, trees, spacing_mm=spacing) for muscle in muscles]
+    clearances = [_clearance(muscle.surface, bones, spacing_mm=spacing) for muscle in muscles]
     return float(np.median(clearances)) + WITHIN_SECTIONS * thickness
 
 
@@ -228,8 +249,7 @@ def find_ends(
     InputError
         A stated end names a muscle, a bone or a vertex that is not there, or has no area within its distance.
     """
-    bones = anatomy.of_kind(TissueKind.BONE)
-    trees = [DistanceTree(bone.surface) for bone in bones]
+    bones = _Bone.all_of(anatomy)
     by_muscle: dict[str, dict[End, StatedEnd]] = {}
     there = {muscle.name: muscle for muscle in anatomy.of_kind(TissueKind.MUSCLE)}
     for said in stated:
@@ -240,7 +260,6 @@ def find_ends(
         _ends_of(
             muscle,
             bones,
-            trees,
             within_mm=within_mm,
             stated=by_muscle.get(name, {}),
             travel=travel or {},
@@ -253,25 +272,26 @@ def find_ends(
 
 def _ends_of(
     muscle: Tissue,
-    bones: Sequence[Tissue],
-    trees: Sequence[DistanceTree],
+    bones: Sequence[_Bone],
     *,
     within_mm: float,
     stated: Mapping[End, StatedEnd],
     travel: Mapping[str, float],
     lengthwise: Mapping[str, Lengthwise],
 ) -> MuscleEnds:
-    surface = surface_samples(muscle.surface, spacing_mm=within_mm).mesh
+    known = lengthwise[muscle.name] if muscle.name in lengthwise else Lengthwise.of(muscle.surface)
+    samples = surface_samples(muscle.surface, spacing_mm=within_mm)
+    surface = samples.mesh
     middles = surface.corners().mean(axis=1)
     areas = np.linalg.norm(area_vectors(surface), axis=1)
     looked = _Looked(
         surface,
         areas,
-        position_along(surface)[surface.faces].mean(axis=1),
-        _distances(middles, surface, bones, trees, within_mm=within_mm),
+        position_by(surface, samples.interpolated(known.along))[surface.faces].mean(axis=1),
+        _distances(middles, surface, bones, within_mm=within_mm),
     )
     close = _close_areas(looked, bones, within_mm=within_mm)
-    least = LEAST_SHARE * float(np.quantile(_section_areas(muscle, lengthwise), 0.1))
+    least = LEAST_SHARE * float(np.quantile(known.sections.measure(muscle.surface.vertices).areas, 0.1))
     low, high = _by_rule([area for area in close if area.area >= least])
     found = [
         _attachment(muscle.name, looked, area, bones)
@@ -283,33 +303,33 @@ def _ends_of(
     if _turn(ends, travel, _root(bones, travel)):
         ends = ends.turned()
     for end, said in stated.items():
-        known = ends.origin if end is End.ORIGIN else ends.insertion
+        at = ends.origin if end is End.ORIGIN else ends.insertion
         if said.bones or said.sheet is None:
-            known = _as_stated(muscle, said, looked, bones, within_mm=within_mm, before=ends)
-        known = replace(known, sheet=said.sheet)
-        ends = replace(ends, origin=known) if end is End.ORIGIN else replace(ends, insertion=known)
+            at = _as_stated(muscle, said, looked, bones, within_mm=within_mm, before=ends)
+        at = replace(at, sheet=said.sheet)
+        ends = replace(ends, origin=at) if end is End.ORIGIN else replace(ends, insertion=at)
     taken = {ends.origin.bone, ends.insertion.bone}
     touched = sorted(((area.bone, area.area) for area in close if area.bone not in taken), key=lambda t: -t[1])
     return replace(ends, touched=tuple(touched))
 
 
-def _close_areas(looked: _Looked, bones: Sequence[Tissue], *, within_mm: float) -> list[_CloseArea]:
+def _close_areas(looked: _Looked, bones: Sequence[_Bone], *, within_mm: float) -> list[_CloseArea]:
     nearest = looked.distances.argmin(axis=0)
     found = []
     for number, bone in enumerate(bones):
         faces = np.flatnonzero((nearest == number) & (looked.distances[number] <= within_mm))
-        faces = faces[_facing(looked.surface, faces, bone.surface)] if len(faces) else faces
+        faces = faces[_facing(looked.surface, faces, bone.tree)] if len(faces) else faces
         if len(faces):
             found.append(_close_area(bone.name, looked, faces))
     return found
 
 
-def _facing(surface: TriMesh, faces: Int, bone: TriMesh) -> Bool:
+def _facing(surface: TriMesh, faces: Int, bone: DistanceTree) -> Bool:
     """Which of some triangles have the bone's nearest place in front of them."""
     corners = surface.corners()[faces]
     middles = corners.mean(axis=1)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    found: Bool = np.einsum("fi,fi->f", normals, nearest_places(middles, bone).places - middles) > 0.0
+    found: Bool = np.einsum("fi,fi->f", normals, bone.places(middles).places - middles) > 0.0
     return found
 
 
@@ -344,7 +364,7 @@ def _turn(ends: MuscleEnds, travel: Mapping[str, float], root: Points | None) ->
     return bool(np.linalg.norm(other.centroid_mm - root) < np.linalg.norm(one.centroid_mm - root))
 
 
-def _root(bones: Sequence[Tissue], travel: Mapping[str, float]) -> Points | None:
+def _root(bones: Sequence[_Bone], travel: Mapping[str, float]) -> Points | None:
     """The middle of the bones that move least; None where all move alike, or nothing is known."""
     moves = [travel.get(bone.name, 0.0) for bone in bones]
     if not travel or min(moves) == max(moves):
@@ -354,17 +374,17 @@ def _root(bones: Sequence[Tissue], travel: Mapping[str, float]) -> Points | None
     return middle
 
 
-def _attachment(muscle: str, looked: _Looked, area: _CloseArea, bones: Sequence[Tissue]) -> Attachment:
+def _attachment(muscle: str, looked: _Looked, area: _CloseArea, bones: Sequence[_Bone]) -> Attachment:
     part = _part(looked.surface, area.faces)
-    of = TriMesh.together([bone.surface for bone in bones if bone.name in area.bone.split(" + ")])
+    of = _tree_of([bone for bone in bones if bone.name in area.bone.split(" + ")])
     shares = looked.areas[area.faces]
     middles = looked.surface.corners()[area.faces].mean(axis=1)
-    at = nearest_places(middles, of)
+    at = of.places(middles)
     return Attachment(
         muscle,
         area.bone,
         part,
-        nearest_places(part.vertices, of).places,
+        of.places(part.vertices).places,
         area.area,
         np.average(middles, axis=0, weights=shares),
         float(np.average(at.distances, weights=shares)),
@@ -372,14 +392,15 @@ def _attachment(muscle: str, looked: _Looked, area: _CloseArea, bones: Sequence[
 
 
 def _free_end(
-    muscle: str, looked: _Looked, bones: Sequence[Tissue], *, far: bool, within_mm: float, said: str = ""
+    muscle: str, looked: _Looked, bones: Sequence[_Bone], *, far: bool, within_mm: float, said: str = ""
 ) -> Attachment:
     """The last of the muscle's surface at one end, with the reason why no bone is there."""
-    faces = np.flatnonzero(looked.along > 1.0 - FREE_SHARE if far else looked.along < FREE_SHARE)
+    along = _along_samples(looked)
+    faces = np.flatnonzero(along > 1.0 - FREE_SHARE if far else along < FREE_SHARE)
     if not len(faces):
-        faces = np.array([looked.along.argmax() if far else looked.along.argmin()])
+        faces = np.array([along.argmax() if far else along.argmin()])
     middles = looked.surface.corners()[faces].mean(axis=1)
-    nearest = np.array([nearest_places(middles, bone.surface).distances.min() for bone in bones])
+    nearest = np.array([bone.tree(middles).min() for bone in bones])
     bone = bones[int(nearest.argmin())].name
     reason = said or (
         f"no bone comes within {within_mm:.3g} mm of this end over an area that counts; the nearest is {bone}, "
@@ -399,11 +420,17 @@ def _free_end(
     )
 
 
+def _along_samples(looked: _Looked) -> Float:
+    """(faces,) how far along the muscle, found on the small triangles: those of a cut may be too large for its end."""
+    found: Float = position_along(looked.surface)[looked.surface.faces].mean(axis=1)
+    return found if (found - 0.5) @ (looked.along - 0.5) > 0.0 else 1.0 - found
+
+
 def _as_stated(
     muscle: Tissue,
     said: StatedEnd,
     looked: _Looked,
-    bones: Sequence[Tissue],
+    bones: Sequence[_Bone],
     *,
     within_mm: float,
     before: MuscleEnds,
@@ -423,9 +450,9 @@ def _as_stated(
         places = looked.surface.corners().mean(axis=1)
         far = looked.along[np.linalg.norm(places - other.centroid_mm, axis=1).argmin()] < 0.5
         return _free_end(muscle.name, looked, bones, far=bool(far), within_mm=within_mm, said="stated to be free")
-    named = TriMesh.together([bone.surface for bone in bones if bone.name in said.bones])
+    named = _tree_of([bone for bone in bones if bone.name in said.bones])
     reach = within_mm if said.within_mm is None else said.within_mm
-    nearest = nearest_places(looked.surface.corners().mean(axis=1), named).distances
+    nearest = named(looked.surface.corners().mean(axis=1))
     faces = np.flatnonzero(nearest <= reach)
     if not len(faces):
         raise InputError(
@@ -449,31 +476,51 @@ def _require_known(said: StatedEnd, *, muscles: Mapping[str, Tissue], bones: Seq
         raise InputError(f"{said.muscle}: its {said.end.value} is given by vertices; name the bone too")
 
 
-def _clearance(surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree], *, spacing_mm: float) -> float:
-    """The smallest distance of a surface from any bone at samples, mm; too large by the spacing at most."""
-    places, smallest = SampledDistances(surface_samples(surface, spacing_mm=spacing_mm).points), np.inf
-    for gap, number in sorted((_box_gap(surface, bone.surface), k) for k, bone in enumerate(bones)):
+def _clearance(surface: TriMesh, bones: Sequence[_Bone], *, spacing_mm: float) -> float:
+    """The smallest distance of a surface from any bone at samples, mm; too large by the spacing at most.
+
+    Of the samples those alone are made that lie in triangles which can be nearer than the nearest vertex is.
+    """
+    box, given, smallest = _box(surface), SampledDistances(surface.vertices), np.inf
+    by_gap = sorted(((bone.gap_mm(box), k) for k, bone in enumerate(bones)))
+    for gap, number in by_gap:
         if gap < smallest:
-            smallest = places.smallest(trees[number], up_to_mm=smallest)
+            smallest = given.smallest(bones[number].tree, up_to_mm=smallest)
+    corners = surface.corners()
+    reach = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1) / EDGES_PER_SPACING
+    for gap, number in by_gap:
+        if gap >= smallest:
+            break
+        tree = bones[number].tree
+        nearest = given.at_least(tree)
+        near = nearest[surface.faces].min(axis=1) - reach < smallest
+        used = np.unique(surface.faces[near])
+        nearest[used] = tree(surface.vertices[used])
+        near = np.flatnonzero(nearest[surface.faces].min(axis=1) - reach < smallest)
+        if len(near):
+            cut = with_short_edges(_part(surface, near), longest_mm=EDGES_PER_SPACING * spacing_mm)
+            smallest = min(smallest, float(tree(cut.vertices).min()))
     return float(smallest)
 
 
-def _distances(
-    places: Points, surface: TriMesh, bones: Sequence[Tissue], trees: Sequence[DistanceTree], *, within_mm: float
-) -> Float:
+def _distances(places: Points, surface: TriMesh, bones: Sequence[_Bone], *, within_mm: float) -> Float:
     """(bones, places) distances that count as close; infinite elsewhere."""
     distances = np.full((len(bones), len(places)), np.inf)
-    sampled = SampledDistances(places)
+    sampled, box = SampledDistances(places), _box(surface)
     for number, bone in enumerate(bones):
-        if _box_gap(surface, bone.surface) <= within_mm:
-            distances[number] = sampled.distances(trees[number], up_to_mm=within_mm)
+        if bone.gap_mm(box) <= within_mm:
+            distances[number] = sampled.distances(bone.tree, up_to_mm=within_mm)
     return distances
 
 
-def _box_gap(a: TriMesh, b: TriMesh) -> float:
-    """How far the boxes of two surfaces are apart, mm; 0 where they overlap."""
-    (low, high), (below, above) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (a, b))
-    return float(np.linalg.norm(np.maximum(np.maximum(low - above, below - high), 0.0)))
+def _tree_of(bones: Sequence[_Bone]) -> DistanceTree:
+    """Distances from some bones together."""
+    return bones[0].tree if len(bones) == 1 else DistanceTree(TriMesh.together([bone.surface for bone in bones]))
+
+
+def _box(surface: TriMesh) -> Float:
+    box: Float = np.array([surface.vertices.min(axis=0), surface.vertices.max(axis=0)])
+    return box
 
 
 def _section_areas(muscle: Tissue, lengthwise: Mapping[str, Lengthwise]) -> Float:

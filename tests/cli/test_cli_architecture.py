@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 from tiny_rigs import drive_by_joints, egg, write_tiny_rig
 
 from musclefit.cli import main
-from musclefit.geometry.surfaces.sections import Lengthwise, position_along
+from musclefit.geometry.surfaces.samples import surface_samples
+from musclefit.geometry.surfaces.sections import Lengthwise
 from musclefit.io.formats.vtk_lines import vtk_lines
 from musclefit.io.run_folder import ply_bytes
 from musclefit.muscles import attachments
@@ -115,8 +116,8 @@ def test_muscles_that_are_not_asked_for_are_not_looked_at(
 ) -> None:
     """Of two muscles the attachments, sections and fibres of one."""
     (rig.parent / "anatomy" / "muscle_extensor.ply").write_bytes(ply_bytes(egg((0, -13, 0), (25, 5, 5))))
-    looked, measured = Mock(wraps=position_along), Mock(wraps=Lengthwise.of)
-    monkeypatch.setattr(attachments, "position_along", looked)
+    looked, measured = Mock(wraps=surface_samples), Mock(wraps=Lengthwise.of)
+    monkeypatch.setattr(attachments, "surface_samples", looked)
     monkeypatch.setattr(Lengthwise, "of", measured)
     given = ["architecture", str(rig), "--rest", "--within-mm", "8", "--quiet", "--muscles", "*flexor"]
     assert main([*given, "--out", str(tmp_path / "out")]) == 0

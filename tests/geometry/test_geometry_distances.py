@@ -21,5 +21,6 @@ def test_nothing_that_counts_is_missed(count: int, reach: float) -> None:
     every, sampled = tree(points), SampledDistances(points)
     found = sampled.distances(tree, up_to_mm=reach)
     np.testing.assert_array_equal(found, np.where(every <= reach, every, np.inf))
+    assert (sampled.at_least(tree) <= every + 1e-9).all()
     assert sampled.smallest(tree, up_to_mm=np.inf) == every.min()
     assert sampled.smallest(tree, up_to_mm=reach) == min(every.min(), reach)

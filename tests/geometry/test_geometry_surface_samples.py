@@ -85,3 +85,11 @@ def test_areas_make_a_mean_that_does_not_see_how_finely_a_part_is_cut() -> None:
 def test_a_spacing_is_a_finite_length(bad: float) -> None:
     with pytest.raises(MeshError, match="expected a finite length above 0"):
         surface_samples(SQUARE, spacing_mm=bad)
+
+
+@pytest.mark.parametrize("spacing", [1.0, 3.0, 100.0])
+def test_values_at_samples_are_linear_between_those_at_the_vertices(spacing: float) -> None:
+    samples = surface_samples(SQUARE, spacing_mm=spacing)
+    slope = np.array([0.3, -2.0, 0.0])
+    found = samples.interpolated(SQUARE.vertices @ slope + 1.0)
+    np.testing.assert_allclose(found, samples.points @ slope + 1.0, rtol=0, atol=1e-12)

@@ -11,9 +11,19 @@ import trimesh
 from musclefit.anatomy.model import Anatomy, Tissue, TissueKind
 from musclefit.errors import InputError, MeshError
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.distances import DistanceTree
 from musclefit.geometry.rigid import RigidMotion
+from musclefit.geometry.surfaces.samples import surface_samples
+from musclefit.geometry.surfaces.sections import Lengthwise
 from musclefit.io.formats.attachments import read_attachments
-from musclefit.muscles.attachments import End, StatedEnd, find_ends, usual_distance_mm
+from musclefit.muscles.attachments import (
+    CLEARANCE_SECTIONS,
+    WITHIN_SECTIONS,
+    End,
+    StatedEnd,
+    find_ends,
+    usual_distance_mm,
+)
 from musclefit.muscles.moment_arms import moment_arms
 
 GAP = 0.3
@@ -58,6 +68,29 @@ def test_with_a_distance_of_just_more_than_the_gap_the_area_is_exact() -> None:
         assert at.area_mm2 == pytest.approx(48.0, rel=1e-12)
         assert at.distance_mm == pytest.approx(GAP, abs=1e-9)
         np.testing.assert_allclose(np.abs(at.feet - at.surface.vertices), [[GAP, 0, 0]] * len(at.feet), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_usual_distance_counts_the_nearest_of_all_samples(seed: int) -> None:
+    """Of muscles with large triangles that come near to bone in their middles, edges and corners."""
+    rng = np.random.default_rng(seed)
+    thickness, gaps, tissues = [], [], []
+    for k in range(3):
+        ball = trimesh.creation.icosphere(1, radius=5.0)
+        egg = TriMesh(np.array(ball.vertices) * [6.0, 1.0, 1.2] + [0.0, 40.0 * k, 0.0], np.array(ball.faces))
+        tissues.append(Tissue(f"muscle_{k}", TissueKind.MUSCLE, egg))
+        thickness.append(np.sqrt(np.median(Lengthwise.of(egg).sections.measure(egg.vertices).areas)))
+    bones = [
+        box(tuple(low), tuple(low + rng.uniform(1.0, 9.0, 3)), edge=4.0)
+        for low in np.column_stack([rng.uniform(-30, 30, 6), 40.0 * np.arange(6) % 120 + 5.1, rng.uniform(-4, 2, 6)])
+    ]
+    tissues += [Tissue(f"bone_{k}", TissueKind.BONE, bone) for k, bone in enumerate(bones)]
+    spacing = CLEARANCE_SECTIONS * float(np.median(thickness))
+    for muscle in tissues[:3]:
+        places = surface_samples(muscle.surface, spacing_mm=spacing).points
+        gaps.append(min(DistanceTree(bone)(places).min() for bone in bones))
+    expected = np.median(gaps) + WITHIN_SECTIONS * np.median(thickness)
+    assert usual_distance_mm(Anatomy(tuple(tissues), "test")) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_far_side_of_a_thin_sheet_is_no_attachment() -> None:

@@ -81,11 +81,15 @@ class SampledDistances:
 
     def distances(self, tree: DistanceTree, *, up_to_mm: float) -> Float:
         """(N,) distances from a surface, mm, where they are not above a bound; infinite elsewhere."""
-        near = np.flatnonzero(tree(self._coarse)[self._owner] - self._apart <= up_to_mm)
+        near = np.flatnonzero(self.at_least(tree) <= up_to_mm)
         found = np.full(len(self._points), np.inf)
         found[near] = tree(self._points[near])
         found[found > up_to_mm] = np.inf
         return found
+
+    def at_least(self, tree: DistanceTree) -> Float:
+        """(N,) bounds from below on the distances from a surface, mm."""
+        return tree(self._coarse)[self._owner] - self._apart
 
     def smallest(self, tree: DistanceTree, *, up_to_mm: float) -> float:
         """The smallest distance from a surface, or the bound where that is smaller."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from musclefit.errors import MeshError
-from musclefit.geometry.arrays import Float, Points
+from musclefit.geometry.arrays import Float, Int, Points
 from musclefit.geometry.measures import area_vectors
 from musclefit.geometry.meshes import TriMesh
-from musclefit.geometry.surfaces.subdivision import with_short_edges
+from musclefit.geometry.surfaces.subdivision import with_halved_edges
 
 EDGES_PER_SPACING = math.sqrt(3.0)
 """No place of a triangle is farther from its corners than its longest edge over this: an equilateral one's middle."""
@@ -31,12 +31,15 @@ class SurfaceSamples:
         What each sample stands for: a third of each triangle around it. Together the area of the surface.
     gap_mm : float
         No place of the surface is farther than this from a sample.
+    middles : tuple of (m, 2) int64
+        The samples in whose middle further ones lie, in the order of these (`subdivision.with_halved_edges`).
     """
 
     mesh: TriMesh
     given: int
     areas: Float
     gap_mm: float
+    middles: tuple[Int, ...] = ()
 
     @property
     def points(self) -> Points:
@@ -47,6 +50,13 @@ class SurfaceSamples:
     def between(self) -> Points:
         """(v - given, 3) samples that are no vertices of the surface as given, mm."""
         return self.mesh.vertices[self.given :]
+
+    def interpolated(self, values: Float) -> Float:
+        """(v,) values at all samples from (given,) at the vertices: linear in each triangle of the surface as given."""
+        found = np.asarray(values, dtype=np.float64)
+        for ends in self.middles:
+            found = np.concatenate([found, found[ends].mean(axis=1)])
+        return found
 
 
 def surface_samples(mesh: TriMesh, *, spacing_mm: float) -> SurfaceSamples:
@@ -64,10 +74,10 @@ def surface_samples(mesh: TriMesh, *, spacing_mm: float) -> SurfaceSamples:
     """
     if not 0.0 < spacing_mm < math.inf:
         raise MeshError(f"found a spacing of {spacing_mm} mm between samples; expected a finite length above 0")
-    cut = with_short_edges(mesh, longest_mm=EDGES_PER_SPACING * spacing_mm)
+    cut, middles = with_halved_edges(mesh, longest_mm=EDGES_PER_SPACING * spacing_mm)
     thirds = np.repeat(np.linalg.norm(area_vectors(cut), axis=1) / 3.0, 3)
     areas = np.bincount(cut.faces.ravel(), thirds, minlength=len(cut.vertices)).astype(np.float64)
-    return SurfaceSamples(cut, len(mesh.vertices), areas, largest_gap(cut))
+    return SurfaceSamples(cut, len(mesh.vertices), areas, largest_gap(cut), middles)
 
 
 def surface_places(mesh: TriMesh, *, spacing_mm: float) -> tuple[Points, float]:

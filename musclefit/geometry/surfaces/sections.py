@@ -118,14 +118,17 @@ class Lengthwise:
     sections : Sections
     position : (n,) float64
         For each vertex the share of the surface's area that lies before it, 0 to 1.
+    along : (n,) float64
+        The function that rises from end to end, of which the sections are level curves.
     """
 
     sections: Sections
     position: Float
+    along: Float
 
     @classmethod
     def of(cls, surface: TriMesh) -> Lengthwise:
-        """`sections_along` and `position_along`, for which the one eigenfunction is found once.
+        """`sections_along` and `position_by`, for which the one eigenfunction is found once.
 
         Raises
         ------
@@ -133,7 +136,7 @@ class Lengthwise:
             The surface has no area.
         """
         along = _along(surface)
-        return cls(_sections(surface, along, count=SECTIONS), _position(surface, along))
+        return cls(_sections(surface, along, count=SECTIONS), position_by(surface, along), along)
 
 
 def sections_along(surface: TriMesh, *, count: int = SECTIONS) -> Sections:
@@ -172,9 +175,11 @@ def _sections(surface: TriMesh, along: Float, *, count: int) -> Sections:
     segments: list[Int] = []
     section: list[Int] = []
     points = 0
+    corners = [along[surface.faces[:, k]] for k in range(3)]
+    lowest, highest = np.minimum.reduce(corners), np.maximum.reduce(corners)
     for level in levels:
         above = along > level
-        crossed = surface.faces[above[surface.faces].any(axis=1) & ~above[surface.faces].all(axis=1)]
+        crossed = surface.faces[(highest > level) & (lowest <= level)]
         if not len(crossed):
             continue
         ends, pairs = level_curve(crossed, above)
@@ -200,10 +205,11 @@ def position_along(surface: TriMesh) -> Float:
     MeshError
         A surface without area.
     """
-    return _position(surface, _along(surface))
+    return position_by(surface, _along(surface))
 
 
-def _position(surface: TriMesh, along: Float) -> Float:
+def position_by(surface: TriMesh, along: Float) -> Float:
+    """(n,) the share of a surface's area at vertices where a function is smaller; ``along`` (n,) is the function."""
     area = np.zeros(len(along))
     np.add.at(area, surface.faces, (_face_areas(surface) / 3.0)[:, None])
     order = np.argsort(along)

@@ -108,14 +108,28 @@ def split_edges(mesh: TriMesh, edges: FaceEdges, split: Bool) -> TriMesh:
 
 def with_short_edges(mesh: TriMesh, *, longest_mm: float | EdgeLengths) -> TriMesh:
     """The same surface with every edge longer than ``longest_mm``, at its middle, halved until none is."""
+    return with_halved_edges(mesh, longest_mm=longest_mm)[0]
+
+
+def with_halved_edges(mesh: TriMesh, *, longest_mm: float | EdgeLengths) -> tuple[TriMesh, tuple[Int, ...]]:
+    """`with_short_edges`, and what its new vertices lie between.
+
+    Returns
+    -------
+    TriMesh
+    tuple of (m, 2) int64
+        For each round of halving the numbers of the vertices in whose middle the new ones lie, in order.
+    """
     lengths = longest_mm if isinstance(longest_mm, EdgeLengths) else EdgeLengths.even(longest_mm)
+    rounds: list[Int] = []
     while True:
         edges = FaceEdges.of(mesh.faces)
         ends = mesh.vertices[edges.ends]
         long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > lengths.near_mm
         long[long] = np.linalg.norm(ends[long, 1] - ends[long, 0], axis=1) > lengths.at(ends[long].mean(axis=1))
         if not long.any():
-            return mesh
+            return mesh, tuple(rounds)
+        rounds.append(edges.ends[long])
         mesh = split_edges(mesh, edges, long)
 
 

@@ -14,9 +14,9 @@ ends: a cube whose corners are all on one side of the level has no triangle.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from skimage.measure import marching_cubes
 from musclefit.geometry.arrays import Faces, Float, Int, Points
 from musclefit.geometry.measures import area_vectors, enclosed_volume
 from musclefit.geometry.meshes import TriMesh
+from musclefit.geometry.queries.solids import candidate_pairs
 from musclefit.geometry.surfaces.crossings import crossings_between
 
 SMOOTHING_VOXELS = 0.6
@@ -234,82 +235,87 @@ class DrawnApart:
 
 def draw_apart(maps: LabelVoxels, numbers: Iterable[int], tick: Any) -> DrawnApart:
     """Raise the larger label's level where surfaces of two cross, until none do."""
-    surfaces = {number: made for number in numbers if (made := maps.surface(number)) is not None}
+    given = {number: made for number in numbers if (made := maps.surface(number)) is not None}
+    now = {number: _InCubes.of(surface) for number, surface in given.items()}
     levels: dict[int, LabelLevel] = {}
     cubes: dict[int, list[Int]] = {}
-    first: dict[int, float] = {}
+    before: dict[int, float] = {}
+    changed: Collection[int] = set(now)
     for turn in range(RAISES + 1):
-        crossing = _crossing_cubes(surfaces)
+        crossing = _crossing_cubes(now, changed)
         if not crossing or turn == RAISES:
             break
         for number, found in crossing.items():
             if number not in levels:
-                levels[number], first[number] = maps.level(number), _enclosed(surfaces[number])
+                levels[number], before[number] = maps.level(number), now[number].enclosed
             cubes.setdefault(number, []).append(found)
             levels[number].draw_back(found, FIRST_RAISE * RAISE_GROWTH**turn)
             made = levels[number].surface()
             if made is None:
-                del surfaces[number]
+                del now[number]
             else:
-                surfaces[number] = made
+                now[number] = _InCubes.of(made)
+        changed = set(crossing)
         tick((turn + 1) / (RAISES + 1))
     return DrawnApart(
-        surfaces,
+        {number: own.surface for number, own in now.items()},
         {number: len(np.unique(np.concatenate(found), axis=0)) for number, found in cubes.items()},
-        {number: (before, _enclosed(surfaces.get(number))) for number, before in first.items()},
+        {number: (was, now[number].enclosed if number in now else 0.0) for number, was in before.items()},
         len(crossing),
     )
 
 
-def _enclosed(surface: Surface | None) -> float:
-    return 0.0 if surface is None else abs(enclosed_volume(TriMesh(*surface)))
-
-
-def _crossing_cubes(surfaces: Mapping[int, Surface]) -> dict[int, Int]:
+def _crossing_cubes(now: Mapping[int, _InCubes], changed: Collection[int]) -> dict[int, Int]:
     """(m, 3) the cubes, by their first voxels, in which a label's triangles cross those of a smaller one.
 
-    A triangle lies in one cube, and on the sides of cubes no two surfaces meet, so triangles are tried cube by cube.
+    A triangle lies in one cube, and on the sides of cubes no two surfaces meet, so triangles are tried cube by cube, of
+    pairs one of which has changed.
     """
-    held = {number: _Cubes.of(surface) for number, surface in surfaces.items()}
-    size = {number: _enclosed(surface) for number, surface in surfaces.items()}
+    numbers = list(now)
     found: dict[int, list[Int]] = {}
-    for one, other in combinations(held, 2):
-        a, b = held[one], held[other]
-        common = a.common(b)
+    for i, j in candidate_pairs([now[number].box for number in numbers]):
+        pair = numbers[i], numbers[j]
+        if not set(pair) & set(changed):
+            continue
+        a, b = (now[number] for number in pair)
+        common: Int = np.intersect1d(a.keys, b.keys)
         if not len(common):
             continue
-        faces = [own.faces_in(common) for own in (a, b)]
-        meshes = [TriMesh(surfaces[k][0], surfaces[k][1][own]) for k, own in zip((one, other), faces, strict=True)]
-        pairs = crossings_between(*meshes).pairs
-        if len(pairs):
-            found.setdefault(max(one, other, key=size.__getitem__), []).append(a.cubes[faces[0][pairs[:, 0]]])
+        faces = a.faces_in(common)
+        crossing = crossings_between(a.part(faces), b.part(b.faces_in(common))).pairs
+        if len(crossing):
+            larger = pair[0] if a.enclosed >= b.enclosed else pair[1]
+            found.setdefault(larger, []).append(a.cubes[faces[crossing[:, 0]]])
     return {number: np.unique(np.concatenate(cubes), axis=0) for number, cubes in found.items()}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Cubes:
-    """The cube that each triangle lies in, as its first voxel and as one number, and the box of them all."""
+class _InCubes:
+    """A surface, what it encloses in voxels, and the cube of each triangle: its first voxel, and that as one number."""
 
+    surface: Surface
+    enclosed: float
     cubes: Int
     keys: Int
-    low: Int
-    high: Int
 
     @classmethod
-    def of(cls, surface: Surface) -> _Cubes:
+    def of(cls, surface: Surface) -> _InCubes:
         vertices, faces = surface
         cubes = np.floor(vertices[faces].mean(axis=1)).astype(np.int64)
         shifted = cubes + PADDING + 1
-        return cls(cubes, (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2], cubes.min(0), cubes.max(0))
+        keys = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
+        return cls(surface, abs(enclosed_volume(TriMesh(*surface))), cubes, keys)
 
-    def common(self, other: _Cubes) -> Int:
-        """Numbers of the cubes that both have triangles in."""
-        if (self.low > other.high).any() or (other.low > self.high).any():
-            return np.empty(0, dtype=np.int64)
-        both: Int = np.intersect1d(self.keys, other.keys)
-        return both
+    @property
+    def box(self) -> Float:
+        """(2, 3) first and last cube."""
+        return np.stack([self.cubes.min(axis=0), self.cubes.max(axis=0)]).astype(np.float64)
 
     def faces_in(self, keys: Int) -> Int:
         """(f,) triangles in some of the cubes."""
         faces: Int = np.flatnonzero(np.isin(self.keys, keys))
         return faces
+
+    def part(self, faces: Int) -> TriMesh:
+        """Some of the triangles."""
+        return TriMesh(self.surface[0], self.surface[1][faces])

@@ -19,9 +19,11 @@ from pathlib import Path
 import numpy as np
 import pyvista
 from joint_shapes import SHAPES, KnownJoint, Missed, known_joint, missed, noise
+from scipy.spatial.transform import Rotation
 
 from musclefit.geometry.meshes import TriMesh
 from musclefit.geometry.queries.distances import nearest_places
+from musclefit.geometry.rigid import RigidMotion
 from musclefit.io.anatomy import read_surface
 from musclefit.io.opensim_geometry import find_geometry, placed_meshes
 from musclefit.rig.articulation import WITHIN_MM, FittedJoint, fitted_joint
@@ -78,17 +80,20 @@ def real(data: Path) -> Iterator[KnownJoint]:
     )
     index = "phalanx_of_right_index_finger"
     for name, folder, table, fixed, moving in (
-        ("elbow", "arm/disjoint", arm["elbow"], "right_humerus", "right_ulna"),
-        ("elbow, by the radius", "arm/disjoint", arm["elbow"], "right_humerus", "right_radius"),
-        ("knee", "leg/disjoint", leg["knee"], "left_femur", "left_tibia"),
-        ("ankle", "leg/disjoint", leg["ankle"], "left_tibia", "left_talus"),
-        ("index finger, MCP", "untuned/finger", finger["mcp"], "right_second_metacarpal_bone", f"proximal_{index}"),
-        ("index finger, PIP", "untuned/finger", finger["pip"], f"proximal_{index}", f"middle_{index}"),
-        ("index finger, DIP", "untuned/finger", finger["dip"], f"middle_{index}", f"distal_{index}"),
+        ("elbow, by ulna and radius", "arm/disjoint", arm["elbow"], "right_humerus", ["right_ulna", "right_radius"]),
+        ("elbow, by the ulna", "arm/disjoint", arm["elbow"], "right_humerus", ["right_ulna"]),
+        ("elbow, by the radius", "arm/disjoint", arm["elbow"], "right_humerus", ["right_radius"]),
+        ("knee", "leg/disjoint", leg["knee"], "left_femur", ["left_tibia"]),
+        ("ankle", "leg/disjoint", leg["ankle"], "left_tibia", ["left_talus"]),
+        ("index finger, MCP", "untuned/finger", finger["mcp"], "right_second_metacarpal_bone", [f"proximal_{index}"]),
+        ("index finger, PIP", "untuned/finger", finger["pip"], f"proximal_{index}", [f"middle_{index}"]),
+        ("index finger, DIP", "untuned/finger", finger["dip"], f"middle_{index}", [f"distal_{index}"]),
     ):
         axis = np.array(table["axis"])[None]
         centre = np.array(table["centre_mm"])
-        yield KnownJoint(name, JointKind.HINGE, bone(folder, fixed), bone(folder, moving), centre, axis)
+        kind = JointKind.UNIVERSAL if name.endswith("MCP") else JointKind.HINGE
+        others = TriMesh.together([bone(folder, one) for one in moving])
+        yield KnownJoint(name, kind, bone(folder, fixed), others, centre, axis)
     for side in ("left", "right"):
         hip, femur = (
             read_surface(next((data / "body" / "bones").glob(f"{side}_{name}_FMA*.ply"))).mesh()
@@ -103,12 +108,22 @@ def real(data: Path) -> Iterator[KnownJoint]:
             meshes[f"{body}__{side}_{name}"]
             for body, name in (("pelvis", "pelvis"), (f"femur_{side}", "femur"), (f"tibia_{side}", "tibia"))
         )
-        at_hip, at_knee = places[f"femur_{side}"], places[f"tibia_{side}"]
+        at_hip, at_knee = places[f"femur_{side}"].translation, places[f"tibia_{side}"].translation
         name = f"Rajagopal, {called}"
-        yield KnownJoint(f"{name} hip", JointKind.BALL, pelvis, femur, at_hip.translation, np.zeros((0, 3)))
-        yield KnownJoint(
-            f"{name} knee", JointKind.HINGE, femur, tibia, at_knee.translation, at_knee.rotation[:, 2][None]
-        )
+        yield KnownJoint(f"{name} hip", JointKind.BALL, pelvis, femur, at_hip, np.zeros((0, 3)))
+        for bent_deg in (90, 5):
+            bent = model.multibody.motions({f"knee_angle_{side}": np.radians(bent_deg)})
+            place, along = screw_axis(bent[f"tibia_{side}"], near=at_knee)
+            yield KnownJoint(f"{name} knee, 0 to {bent_deg} deg", JointKind.HINGE, femur, tibia, place, along[None])
+
+
+def screw_axis(motion: RigidMotion, *, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The axis that a motion turns about and slides along: its point nearest to another one, and its direction."""
+    turn = Rotation.from_matrix(motion.rotation).as_rotvec()
+    along = turn / np.linalg.norm(turn)
+    way = motion(near[None])[0] - near
+    place = near + np.linalg.lstsq(np.eye(3) - motion.rotation, way - (way @ along) * along)[0]
+    return place, along
 
 
 def head_centre(femur: TriMesh, hip: TriMesh) -> np.ndarray:

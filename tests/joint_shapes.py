@@ -158,7 +158,10 @@ def known_joint(
 
 @dataclass(frozen=True)
 class Missed:
-    """How far a fit is from what is known: the angle to the nearest axis, and the distance of axis or centre."""
+    """How far a fit is from what is known: the angle to the nearest axis, and the distance of axis or centre.
+
+    Of two axes that were found the first counts; either where one alone is known.
+    """
 
     degrees: float
     mm: float
@@ -169,7 +172,8 @@ def missed(found: FittedJoint, known: KnownJoint) -> Missed:
     if known.kind is JointKind.BALL and not len(found.axes):
         return Missed(0.0, float(np.linalg.norm(off)))
     axis = found.axes[0]
-    degrees = min(float(np.degrees(np.arccos(min(1.0, abs(float(axis @ own)))))) for own in known.axes)
+    counting = found.axes[: len(found.axes) // len(known.axes)]
+    degrees = min(float(np.degrees(np.arccos(min(1.0, abs(a @ own))))) for own in known.axes for a in counting)
     if known.kind is JointKind.HINGE:
         off = off - (off @ axis) * axis
     return Missed(degrees, float(np.linalg.norm(off)))

@@ -83,7 +83,7 @@ BLUR = 0.15
 """Share of the joint's size within which a place is too near to an axis to tell its direction."""
 
 ALONG = 0.6
-"""Largest cosine between a hinge and a bone's length: a hinge swings a long bone, and does not spin it."""
+"""Largest cosine between an axis and a bone's length: hinges and condyles swing a long bone, and do not spin it."""
 
 LONG = 1.5
 """A bone is long where its middle is farther than this from the joint's, in times the joint's size."""
@@ -228,15 +228,15 @@ class _Line:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Region:
-    """Where the joint is: the middle of what faces, its size, and directions that a hinge is not along."""
+    """Where the joint is: the middle of what faces, its size, and directions that no axis is along."""
 
     middle: Points
     size: float
     lengths: Float
 
-    def allows(self, line: _Line, *, swings: bool) -> bool:
+    def allows(self, line: _Line) -> bool:
         away = np.linalg.norm(np.cross(line.at - self.middle, line.along))
-        return bool(away <= FARTHEST * self.size) and not (swings and self.spins(line.along[None])[0])
+        return bool(away <= FARTHEST * self.size and not self.spins(line.along[None])[0])
 
     def spins(self, directions: Float) -> Bool:
         along: Bool = np.any(np.abs(directions @ self.lengths.T) > ALONG, axis=1)
@@ -271,7 +271,7 @@ def fitted_joint(fixed: TriMesh, moving: TriMesh, *, kind: JointKind, within_mm:
     ends = _ends((fixed, moving), found, region, around=AROUND)
     if kind is JointKind.BALL:
         return _ball(ends, region, gap)
-    return _axes((fixed, moving), found, ends, region, gap, swings=kind is JointKind.HINGE)
+    return _axes((fixed, moving), found, ends, region, gap, kind)
 
 
 # Where the bones face each other
@@ -400,22 +400,22 @@ def _axes(
     ends: Sequence[_End],
     region: _Region,
     gap: float,
-    *,
-    swings: bool,
+    kind: JointKind,
 ) -> FittedJoint:
-    lines = _best_lines(ends, region, swings=swings)
-    alone = [_best_lines([end], region, swings=swings)[0] for end in ends]
+    hinge = kind is JointKind.HINGE
+    lines = _best_lines(ends, region)
+    alone = [_best_lines([end], region)[0] for end in ends]
     fitted_to, first = ends, lines[0]
     wider = _ends(bones, facing, region, around=WIDER)
     refined = _refined(wider, first, region)
-    if region.allows(refined, swings=swings):
+    if region.allows(refined):
         fitted_to, first = wider, refined
     chosen_deg, chosen_mm = 0.0, 0.0
-    turning = _turning(bones, facing, first, region) if swings else None
+    turning = _turning(bones, facing, first, region) if hinge else None
     if turning is not None:
         chosen_deg, chosen_mm = _Pair(first, None).off(_Pair(turning[1], None), region)
         fitted_to, first = turning
-    seconds = [] if swings else _seconds(fitted_to, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
+    seconds = [] if hinge else _seconds(fitted_to, first, region, starts=[(depth, 0.0) for depth in DEPTHS])
     second = seconds[0].line if seconds else None
     fitted, starts = _Pair(first, second), [found.start for found in seconds[:MOST_SECONDS]]
     centre = fitted.centre(region)
@@ -437,7 +437,6 @@ def _axes(
         _side(of, end, used, first, _angle(line.along, first.along), _line_distance(line, first, centre))
         for of, end, used, line in zip(("fixed", "moving"), ends, fitted_to, alone, strict=True)
     )
-    kind = JointKind.HINGE if swings else JointKind.UNIVERSAL
     return FittedJoint(
         kind,
         frozen(centre),
@@ -486,7 +485,7 @@ def _turning(
         if min(len(part.areas) for part in parts) < FEWEST:
             return None
         line = _refined(parts, line, region)
-        if not region.allows(line, swings=True):
+        if not region.allows(line):
             return None
     return parts, line
 
@@ -609,11 +608,11 @@ def _roots(end: _End, sines: Float) -> Float:
     return roots
 
 
-def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool) -> list[_Line]:
+def _best_lines(ends: Sequence[_End], region: _Region) -> list[_Line]:
     """The best axes with directions apart from each other, the best first."""
     blur = BLUR * region.size
     directions = _directions()
-    if swings and len(region.lengths):
+    if len(region.lengths):
         directions = directions[~region.spins(directions)]
     tried = []
     for along in directions:
@@ -630,10 +629,10 @@ def _best_lines(ends: Sequence[_End], region: _Region, *, swings: bool) -> list[
         if number >= STARTS and found:
             break
         fine = _refined(ends, line, region)
-        if region.allows(fine, swings=swings):
+        if region.allows(fine):
             found.append(fine)
     if not found:
-        found = [next(line for line in tried if region.allows(line, swings=swings))]
+        found = [next(line for line in tried if region.allows(line))]
     found.sort(key=lambda line: line.loss)
     apart: list[_Line] = []
     for line in found:

@@ -19,7 +19,7 @@ STARTED_ONLY = {
     "forearm_backends.py": "--no-certificate",
 }
 STARTED_ONLY |= {"regions.py": "--prepare-only", "fig8_forearm_motion.py": "--frames", "fig9_jump.py": "--workers"}
-STARTED_ONLY |= {"opensim_models.py": "--frames", "brain_labels.py": "--surfaces"}
+STARTED_ONLY |= {"opensim_models.py": "--frames", "brain_labels.py": "--surfaces", "label_maps.py": "--voxel-mm"}
 STARTED_ONLY |= {"cost_model.py": "--write", "forearm_architecture.py": "--report", "measure.py": "take"}
 STARTED_ONLY |= {"forearm_moment_arms.py": "--plot", "control_points.py": "--count", "scan_fits.py": "--only"}
 """Examples that run for minutes or need data: they must import, and tell their options (one of each)."""
@@ -99,14 +99,30 @@ def test_fig1_folds_in_one_shot_and_not_after_subdivision(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_a_brain_is_the_same_in_five_forms(tmp_path: Path) -> None:
     pytest.importorskip("nilearn", reason="nilearn is not installed (extra examples)")
-    ended = run("brain_labels.py", "--surfaces", "integers", "--tissues", "white_matter", folder=tmp_path)
+    ended = run("brain_labels.py", "--surfaces", "integers", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.count("white_matter 138,625;") == 5
     assert ended.stdout.count("\n  0 voxels, and 0.0e+00 mm of their middle, off the first form") == 5
-    fit = re.search(r"white_matter: volume (\S+) %, vertices within (\S+) voxels", ended.stdout)
-    assert fit is not None
-    assert abs(float(fit[1])) < 1.0
-    assert float(fit[2]) <= 0.5
+    assert "  passed; 3 surfaces of a label map in patient (LPS), mm, 0 joints;" in ended.stdout
+    for name in ("grey_matter", "white_matter"):
+        fit = re.search(rf"  {name}: volume (\S+) %, vertices within (\S+) voxels", ended.stdout)
+        assert fit is not None
+        assert abs(float(fit[1])) < 1.0
+        assert float(fit[2]) <= 0.6
+
+
+@pytest.mark.slow
+def test_a_limb_comes_back_from_its_labels(tmp_path: Path) -> None:
+    ended = run("label_maps.py", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    said = re.search(
+        r"passed; 12 surfaces .*\nvolumes off .* (\S+) % at most\nvertices within (\S+) voxels .*\n"
+        r"vertices off the true surfaces by (\S+) voxels \(95 %\), (\S+) at most",
+        ended.stdout,
+    )
+    assert said is not None, ended.stdout
+    limits = (0.5, 0.5, 0.4, 0.7)
+    assert all(float(value) <= limit for value, limit in zip(said.groups(), limits, strict=True)), said.groups()
 
 
 @pytest.mark.slow

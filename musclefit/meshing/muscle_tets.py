@@ -15,7 +15,7 @@ from musclefit.anatomy.mesh_rules import LayerRules, diagonal_mm
 from musclefit.anatomy.model import Anatomy, Tissue
 from musclefit.errors import MeshError
 from musclefit.geometry.arrays import Int, Points
-from musclefit.geometry.measures import signed_volumes
+from musclefit.geometry.measures import enclosed_volume, signed_volumes
 from musclefit.geometry.meshes import TetMesh, TriMesh
 from musclefit.geometry.surfaces.booleans import with_balls
 from musclefit.geometry.surfaces.sections import Sections
@@ -67,6 +67,8 @@ class MuscleTets:
         How far a place of the surface is from the tetrahedra's, at most.
     volume_share : float
         Volume of the tetrahedra over that of the surface.
+    widened_mm3 : float
+        What was added to the surface where it has necks that are too thin for any envelope.
     """
 
     name: str
@@ -78,6 +80,7 @@ class MuscleTets:
     loose_share: float
     missed_mm: float
     volume_share: float
+    widened_mm3: float
 
     @property
     def whole(self) -> bool:
@@ -122,6 +125,7 @@ def muscle_tets(muscle: Tissue, cache: TetCache, *, sections: Sections, progress
             loose_share=loose_share(found.mesh, piece),
             missed_mm=math.inf if fit.missed_mm is None else fit.missed_mm,
             volume_share=fit.volume_mm3 / (fit.surface_mm3 or math.nan),
+            widened_mm3=enclosed_volume(surface) - enclosed_volume(muscle.surface) if len(pinched) else 0.0,
         )
         if made.whole:
             break

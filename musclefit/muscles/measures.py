@@ -40,6 +40,10 @@ Mapped = Callable[[Points], tuple[Points, Gradients]]
 """Where a map takes (N, 3) points, mm, and its derivatives (N, 3, 3) there."""
 
 
+LEAST_ADDED_MM3 = 1e-6
+"""What is added to a surface where a neck of it is widened counts from here on; less is rounding, mm³."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class CarriedDirections:
     """Fibre directions after a map: exact at the places asked for, whatever mesh they came from.
@@ -286,13 +290,14 @@ def measure_at_rest(
     pieces: int,
     missed_mm: float,
     loose_share: float = 0.0,
+    widened_mm3: float = 0.0,
     source: str = "",
     data_share: float | None = None,
 ) -> MuscleArchitecture:
     """The numbers of one muscle at rest; fibres that never run in the belly count for the paths alone.
 
     ``source`` says where known fibres come from; empty: from the flow. ``data_share`` is the share of the volume where
-    a direction is known, ``loose_share`` that in pieces beside the largest.
+    a direction is known, ``loose_share`` that in pieces beside the largest, ``widened_mm3`` what was added to necks.
     """
     lines = Lines.of(found, belly)
     paths, fibres, angles = lines.measure(
@@ -308,6 +313,8 @@ def measure_at_rest(
     if pieces > 1:
         loose = f"{100.0 * loose_share:.2g} % of its volume is joined to the rest at no face"
         reasons.append(f"its tetrahedra are in {pieces} pieces: {loose}")
+    if widened_mm3 > LEAST_ADDED_MM3:
+        reasons.append(f"{widened_mm3:.2g} mm³ were added at necks too thin for tetrahedra that hang together")
     if field.even_flux and not any(field.sheets):
         reasons.append("its flow is driven by an even flux: held potentials leave too much of it without direction")
     return MuscleArchitecture(

@@ -103,6 +103,8 @@ class FibredMuscle:
         Share of their volume in pieces beside the largest.
     missed_mm : float
         How far a place of the surface is from them, at most.
+    widened_mm3 : float
+        What was added to the surface where its necks are too thin for tetrahedra that hang together.
     source : str
         The files that the fibres are from; empty where they are from the flow.
     data_share : float or None
@@ -118,6 +120,7 @@ class FibredMuscle:
     pieces: int
     loose_share: float
     missed_mm: float
+    widened_mm3: float = 0.0
     source: str = ""
     data_share: float | None = None
     carried_lines: tuple[Points, ...] = ()
@@ -416,6 +419,7 @@ def _fibres(
                     tets.pieces,
                     tets.loose_share,
                     tets.missed_mm,
+                    tets.widened_mm3,
                 )
                 if one.muscle in known:
                     fibred[one.muscle] = _of_data(made, muscle.surface, known[one.muscle], reach_mm=reach_mm)
@@ -484,6 +488,7 @@ def _measured(job: Job, one: FibredMuscle) -> MuscleArchitecture:
         pieces=one.pieces,
         loose_share=one.loose_share,
         missed_mm=one.missed_mm,
+        widened_mm3=one.widened_mm3,
         source=one.source,
         data_share=one.data_share,
     )

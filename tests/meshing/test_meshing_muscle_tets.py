@@ -23,8 +23,16 @@ from musclefit.geometry.surfaces.booleans import united
 from musclefit.geometry.surfaces.sections import sections_along
 from musclefit.geometry.tets.topology import tet_faces
 from musclefit.meshing import cache
+from musclefit.meshing import muscle_tets as muscle_tets_module
 from musclefit.meshing.cache import TetCache
-from musclefit.meshing.muscle_tets import MuscleTets, loose_share, muscle_tets, shared_vertices, with_wider_necks
+from musclefit.meshing.muscle_tets import (
+    NECK_ENVELOPES,
+    MuscleTets,
+    loose_share,
+    muscle_tets,
+    shared_vertices,
+    with_wider_necks,
+)
 from musclefit.progress import Silent
 
 MUSCLE = Tissue("muscle", TissueKind.MUSCLE, egg((0, 0, 0), (25, 5, 5)))
@@ -92,6 +100,16 @@ def test_a_mesh_is_made_again_once_where_it_falls_apart_or_misses_an_end(
     assert found.whole == (tries[-1] in [("whole", 0.6), ("whole", 0.2)])
 
 
+def test_what_is_added_at_a_neck_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Half of a ball at the egg's tip, nothing of one at its middle."""
+    for place, added in (((25.0, 0.0, 0.0), True), ((0.0, 0.0, 0.0), False)):
+        monkeypatch.setattr(muscle_tets_module, "shared_vertices", lambda *_, at=place: np.array([at]))
+        found, _ = meshed([("pinched", 0.6), ("whole", 0.2)], monkeypatch, tmp_path)
+        ball = 4.0 / 3.0 * np.pi * (NECK_ENVELOPES * found.first_envelope_mm) ** 3
+        low, high = (0.3, 1.0) if added else (-1e-6, 1e-6)
+        assert low < found.widened_mm3 / ball < high
+
+
 def pieces_of(mesh: TetMesh) -> np.ndarray:
     return piece_of_tet(tet_faces(mesh.tets), inside=np.ones(len(mesh.tets), dtype=bool))
 
@@ -134,6 +152,7 @@ def test_a_tendon_with_a_neck_of_a_few_thousandths_of_a_mm_is_one_piece(
     monkeypatch.setenv("MUSCLEFIT_CACHE", str(tmp_path))
     found = mf.architecture("forearm_rigid", muscles=["*flexor_pollicis_longus*"], within_mm=1.27, deform=False)
     assert [muscle.pieces for muscle in found.muscles] == [1]
+    assert "mm³ were added at necks" in found.muscles[0].note
     assert len(list(tmp_path.glob("tets-*.npz"))) == 2, "the first mesh was in one piece: choose another muscle"
 
 

@@ -212,7 +212,10 @@ def _without_overlaps(
     """
     plain, told = _repaired(anatomy, RepairSettings(), title=title, progress=progress), []
     if _overlaps(plain):
-        whole = _repaired(anatomy, RepairSettings(stray_percent=0.0), title=title, progress=progress)
+        changes = (change for surface in plain.report.surfaces for change in surface.changes)
+        strays = any(change.code == "stray-pieces" for change in changes)
+        kept = RepairSettings(stray_percent=0.0)
+        whole = _repaired(anatomy, kept, title=title, progress=progress) if strays else plain
         if not _overlaps(whole):
             message = "stray pieces and hollows are kept: without them, tissues would lie in each other"
             told.append(Finding("labels", "strays-kept", message))

@@ -252,5 +252,6 @@ def test_labels_of_single_voxels_share_no_point_either():
     labels = np.random.default_rng(5).integers(0, 4, size=(14, 15, 16))
     names = [LabelName(k, f"grain_{k}", TissueKind.OTHER) for k in (1, 2, 3)]
     made = label_anatomy(labels, Grid((14, 15, 16), np.eye(4)), names=names, frame=Frame.RAS, source="grains")
+    assert len(made.anatomy) == 3
     for one, other in combinations([tissue.surface for tissue in made.anatomy], 2):
         assert not len(crossings_between(one, other))
